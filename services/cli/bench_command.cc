@@ -79,7 +79,7 @@ std::string BenchTable(const std::vector<bench::Measurement>& measurements) {
   for (const bench::Measurement& m : measurements) {
     for (const bench::Row& row : bench::Rows()) {
       if (m.key != row.key) continue;
-      table.AddRow({row.what, m.value ? report::FormatNumber(*m.value) : "–",
+      table.AddRow({quick ? row.quick : row.what, m.value ? report::FormatNumber(*m.value) : "–",
                     report::FormatNumber(row.target), row.unit, row.rival, row.key});
     }
   }
@@ -165,13 +165,13 @@ json ServiceBenchJson(const std::vector<bench::Measurement>& measurements) {
   return out;
 }
 
-std::string ServiceBenchTable(const std::vector<bench::Measurement>& measurements) {
+std::string ServiceBenchTable(const std::vector<bench::Measurement>& measurements, bool quick) {
   TextTable table({"FIGURE", ">MEASURED", ">TARGET", "UNIT", "KEY"});
   std::string notes;
   for (const bench::Measurement& m : measurements) {
     for (const ServiceRow& row : ServiceRows()) {
       if (m.key != row.key) continue;
-      table.AddRow({row.what, m.value ? report::FormatNumber(*m.value) : "–",
+      table.AddRow({quick ? row.quick : row.what, m.value ? report::FormatNumber(*m.value) : "–",
                     (row.at_least ? "≥ " : "≤ ") + report::FormatNumber(row.target), row.unit, row.key});
     }
     notes += m.key + ": " + m.note + "\n";
@@ -192,7 +192,7 @@ Status RunServiceBenchCommand(Context& context, const ServiceBenchOptions& optio
     out["load_average"] = {{"before", load_before}, {"after", LoadAverage()}};
     PrintJson("realitygrad.bench_service/1", out);
   } else if (!context.quiet()) {
-    Print(ServiceBenchTable(measurements));
+    Print(ServiceBenchTable(measurements, options.quick));
     Print("load average " + load_before + " before, " + LoadAverage() + " after.");
   }
   return Status::Ok();

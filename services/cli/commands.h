@@ -24,6 +24,7 @@ void AddCommands(CLI::App& app, Context& context);
 void AddJobCommands(CLI::App& app, Context& context);        // jobs, job …, workers, explain
 void AddLogCommand(CLI::App& job, Context& context);         // job logs
 void AddDescribeCommand(CLI::App& job, Context& context);    // job describe
+void AddRobotCommands(CLI::App& app, Context& context);      // robot …
 void AddParameterCommands(CLI::App& app, Context& context);  // params …
 void AddExportCommand(CLI::App& params, Context& context);   // params export
 void AddPromoteCommand(CLI::App& params, Context& context);  // params promote

@@ -151,7 +151,15 @@ Result<std::unique_ptr<coordinator::Client>> Context::Connect() const {
     options.key = key.keys;
     options.role = key.role;
   }
+  options.remark = UserAtHost();
   return coordinator::Client::Connect(options);
+}
+
+std::string UserAtHost() {
+  char host[256] = "?";
+  gethostname(host, sizeof host - 1);
+  const char* user = getenv("USER");
+  return std::string(user ? user : "user") + "@" + host;
 }
 
 bool Context::Failed(const Status& status) {
@@ -159,7 +167,9 @@ bool Context::Failed(const Status& status) {
   // A coordinator of our own that did not come up says better why nobody answers.
   const Status own =
       children_ && status.code() == StatusCode::kUnavailable ? children_->Check() : Status::Ok();
-  exit_code = Fail(own.ok() ? status : own);
+  const Status& why = own.ok() ? status : own;
+  exit_code = Fail(why);
+  if (error.ok()) error = why;
   if (misused_) exit_code = kExitUsage;
   return true;
 }

@@ -38,6 +38,7 @@ class Context {
   OutputFormat output = OutputFormat::kTable;
   Settings flags;  // values given by flags, empty where none was
   int exit_code = kExitOk;
+  Status error;  // the first that made a command fail
 
   // The project file is looked for in this folder and above it. Error: an unreadable file or an
   // unknown key in it.
@@ -59,6 +60,8 @@ class Context {
   mutable bool misused_ = false;
 };
 
+// The user of this process and its host.
+std::string UserAtHost();
 // Folder of robot profiles and URDFs: the setting, or what was there when the program was built.
 std::string RobotsFolder(const Settings& settings);
 // A program of this build, beside the running one.

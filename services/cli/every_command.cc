@@ -13,6 +13,7 @@ void AddCommands(CLI::App& app, Context& context) {
   AddEffectsCommand(app, context);
   AddSubmitCommands(app, context);
   AddJobCommands(app, context);
+  AddRobotCommands(app, context);
   AddParameterCommands(app, context);
   AddPolicyCommands(app, context);
   AddArtifactCommands(app, context);

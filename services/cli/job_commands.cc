@@ -28,7 +28,7 @@ using nlohmann::json;
 struct JobArguments {
   std::string id = "last";
   std::string task, reason;
-  bool tasks = false, plain = false;
+  bool tasks = false, plain = false, mine = false, others = false;
   int priority = 0;
   double timeout_s = -1.0;
 };
@@ -36,7 +36,8 @@ struct JobArguments {
 struct ListArguments {
   int64_t of = 0;  // what tasks of this job submitted; 0: what clients did
   std::vector<std::string> states, labels;
-  std::string since;
+  std::string since, by;
+  bool mine = false;
   uint32_t limit = 100;
   int64_t before = 0;
   bool watch = false;
@@ -78,6 +79,8 @@ Result<pb::ListJobsRequest> ListRequest(const ListArguments& arguments) {
   request.set_parent_job(arguments.of);
   request.set_limit(arguments.limit);
   request.set_before_id(arguments.before);
+  request.set_by(arguments.by);
+  request.set_mine(arguments.mine);
   for (const std::string& text : arguments.states) {
     RG_ASSIGN_OR_RETURN(const pb::JobState state, ParseJobState(text));
     request.add_states(state);
@@ -97,23 +100,24 @@ Result<pb::ListJobsRequest> ListRequest(const ListArguments& arguments) {
 
 std::string JobsText(const std::vector<pb::JobSummary>& jobs, const ListArguments& arguments) {
   const bool filtered = !arguments.states.empty() || !arguments.labels.empty() || !arguments.since.empty() ||
-                        arguments.before != 0;
+                        arguments.before != 0 || arguments.mine || !arguments.by.empty();
   return !jobs.empty()       ? JobsTable(jobs)
-         : filtered          ? "no such job"
+         : filtered          ? "no jobs"
          : arguments.of != 0 ? "no task of job " + std::to_string(arguments.of) + " submitted a job"
                              : "no jobs yet: submit one with `realitygrad submit iteration`";
 }
 
-void ShowJobs(const Context& context, const std::vector<pb::JobSummary>& jobs,
-              const ListArguments& arguments) {
+void ShowJobs(const Context& context, const pb::ListJobsReply& reply, const ListArguments& arguments) {
+  const std::vector<pb::JobSummary> jobs(reply.jobs().begin(), reply.jobs().end());
   if (context.quiet()) {
     for (const auto& job : jobs) Print(std::to_string(job.id()));
   } else if (context.json()) {
     json list = json::array();
     for (const auto& job : jobs) list.push_back(JobJson(job));
-    PrintJson("realitygrad.jobs/1", {{"jobs", list}});
+    PrintJson("realitygrad.jobs/1", {{"jobs", list}, {"more", reply.more()}});
   } else {
     Print(JobsText(jobs, arguments));
+    if (reply.more()) PrintNote("there are older ones: --before " + std::to_string(jobs.back().id()));
   }
 }
 
@@ -151,8 +155,8 @@ void ListJobs(Context& context, const ListArguments& arguments) {
   auto client = context.Connect();
   if (context.Failed(client.status())) return;
   if (arguments.watch) return context.Failed(WatchJobs(context, **client, *request, arguments)), void();
-  const auto jobs = (*client)->ListJobs(*request);
-  if (!context.Failed(jobs.status())) ShowJobs(context, *jobs, arguments);
+  const auto reply = (*client)->ListJobsReply(*request);
+  if (!context.Failed(reply.status())) ShowJobs(context, *reply, arguments);
 }
 
 // Calls `body` for every job that `arguments.id` selects; "all" leaves out those in no `wanted` state.
@@ -227,15 +231,62 @@ WantedState StatesFor(pb::JobAction action) {
   }
 }
 
+// Whether the person at the terminal says so.
+bool Confirmed(const std::string& question) {
+  std::fprintf(stderr, "%s [y/N] ", question.c_str());
+  const int answer = std::getchar();
+  return answer == 'y' || answer == 'Y';
+}
+
+// What "all" stands for. Jobs of others are ended only where that is meant.
+Result<std::vector<int64_t>> AllFor(coordinator::Client& client, const JobArguments& arguments, pb::JobAction action) {
+  RG_ASSIGN_OR_RETURN(AllJobs all, SelectAll(client, StatesFor(action)));
+  if (arguments.mine || all.others.empty()) return all.mine;
+  if (action == pb::JOB_ACTION_CANCEL && !arguments.others) {
+    std::string names;
+    for (const std::string& name : all.names) names += (names.empty() ? "" : ", ") + name;
+    const std::string whose = std::to_string(all.others.size()) + " of the " +
+                              std::to_string(all.others.size() + all.mine.size()) + " jobs are others' (" + names + ")";
+    if (isatty(STDIN_FILENO) != 1) return FailedPreconditionError(whose + ": --mine leaves them, --others cancels them too");
+    if (!Confirmed(whose + ". Cancel them too?")) return all.mine;
+  }
+  all.mine.insert(all.mine.end(), all.others.begin(), all.others.end());
+  return all.mine;
+}
+
+json ShowActedOn(const Context& context, const pb::JobSummary& job) {
+  if (context.json()) return JobJson(job);
+  if (!context.quiet()) Print("job " + std::to_string(job.id()) + " is " + JobStateText(job.state()));
+  return nullptr;
+}
+
+// In one transaction.
+void ActOnMany(Context& context, coordinator::Client& client, const std::vector<int64_t>& ids,
+               const JobArguments& arguments, pb::JobAction action) {
+  const auto reply = client.ActOnMany(ids, action, arguments.reason);
+  if (context.Failed(reply.status())) return;
+  json values = json::array();
+  for (int i = 0; i < reply->jobs_size(); ++i) {
+    if (!reply->errors(i).empty()) {
+      context.Failed(FailedPreconditionError(reply->errors(i)));
+    } else if (json value = ShowActedOn(context, reply->jobs(i)); !value.is_null()) {
+      values.push_back(std::move(value));
+    }
+  }
+  if (context.json()) PrintJson("realitygrad.jobs/1", {{"jobs", values}});
+}
+
 void ActOnJob(Context& context, const JobArguments& arguments, pb::JobAction action) {
-  const auto act = [&](coordinator::Client& client, int64_t id) -> json {
-    const auto job = client.Act(id, action, arguments.reason);
-    if (context.Failed(job.status())) return nullptr;
-    if (context.json()) return JobJson(*job);
-    if (!context.quiet()) Print("job " + std::to_string(job->id()) + " is " + JobStateText(job->state()));
-    return nullptr;
-  };
-  WithJobs(context, arguments, "realitygrad.job/1", "realitygrad.jobs/1", act, StatesFor(action));
+  auto client = context.Connect();
+  if (context.Failed(client.status())) return;
+  const bool is_all = arguments.id == "all";
+  const auto ids = is_all ? AllFor(**client, arguments, action) : ParseSelector(arguments.id, **client);
+  if (context.Failed(ids.status())) return;
+  if (is_all || ids->size() != 1) return ActOnMany(context, **client, *ids, arguments, action);
+  const auto job = (*client)->Act(ids->front(), action, arguments.reason);
+  if (context.Failed(job.status())) return;
+  const json value = ShowActedOn(context, *job);
+  if (context.json()) PrintJson("realitygrad.job/1", value);
 }
 
 void SetPriority(Context& context, const JobArguments& arguments) {
@@ -328,9 +379,9 @@ void ListWorkers(Context& context) {
   }
 }
 
-void DrainWorker(Context& context, const std::string& name) {
+void DrainWorker(Context& context, const std::string& name, const std::string& reason) {
   auto client = context.Connect();
-  if (context.Failed(client.status()) || context.Failed((*client)->DrainWorker(name))) return;
+  if (context.Failed(client.status()) || context.Failed((*client)->DrainWorker(name, reason))) return;
   if (!context.quiet()) PrintNote(name + " finishes what it runs and leaves");
 }
 
@@ -343,6 +394,8 @@ void AddJobCommands(CLI::App& app, Context& context) {
   jobs->add_option("--state", list->states,
                    "queued, running, paused, succeeded, failed or cancelled; several");
   jobs->add_option("--label", list->labels, "NAME or NAME=VALUE; all of several");
+  jobs->add_flag("--mine", list->mine, "Submitted with this key, or without keys by this user@host");
+  jobs->add_option("--by", list->by, "Submitted by the key of this name");
   jobs->add_option("--since", list->since, "Submitted since: 90s, 15m, 36h, 7d ago, or 2026-03-01");
   jobs->add_option("--limit", list->limit, "At most so many, the newest")
       ->check(CLI::Range(1, 10'000))
@@ -369,10 +422,11 @@ void AddJobCommands(CLI::App& app, Context& context) {
 
   CLI::App* worker = app.add_subcommand("worker", "Run a worker (realitygrad worker --help), or drain one")
                          ->require_subcommand(1);
-  auto name = std::make_shared<std::string>();
+  auto name = std::make_shared<std::string>(), reason = std::make_shared<std::string>();
   CLI::App* drain = worker->add_subcommand("drain", "Let it finish what it runs and leave");
   drain->add_option("NAME", *name)->required();
-  drain->callback([&context, name] { DrainWorker(context, *name); });
+  drain->add_option("--reason", *reason, "Shown with the worker");
+  drain->callback([&context, name, reason] { DrainWorker(context, *name, *reason); });
 
   CLI::App* job = app.add_subcommand("job", "Look at one job, or act on it")->require_subcommand(1);
   const auto add = [&](const char* name, const char* help, auto function) {
@@ -403,6 +457,8 @@ void AddJobCommands(CLI::App& app, Context& context) {
         add(act.name, act.help,
             [action = act.action](Context& c, const JobArguments& a) { ActOnJob(c, a, action); });
     command->add_option("--reason", arguments->reason, "Kept with the job");
+    command->add_flag("--mine", arguments->mine, "Of all: those of this key, or without keys of this user@host");
+    command->add_flag("--others", arguments->others, "Of all: those of others too")->excludes("--mine");
   }
   auto [priority, priority_arguments] =
       add("priority", "Change when its turn comes: what has not started, and what its tasks submit", SetPriority);

@@ -4,6 +4,8 @@
 #include <cstdio>
 
 #include "coordinator/client/client.h"
+#include "services/cli/context.h"
+#include "services/cli/job_view.h"
 
 namespace rg::cli {
 
@@ -33,6 +35,25 @@ Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator:
     for (long id = low; id <= high; ++id) ids.push_back(id);
   }
   return ids;
+}
+
+Result<AllJobs> SelectAll(coordinator::Client& client, WantedState wanted) {
+  AllJobs all;
+  pb::ListJobsRequest request;
+  request.set_limit(10'000);
+  while (true) {
+    RG_ASSIGN_OR_RETURN(const auto reply, client.ListJobsReply(request));
+    const std::string& me = reply.you().empty() ? UserAtHost() : reply.you();
+    for (const auto& job : reply.jobs()) {
+      if (!wanted(job.state())) continue;
+      const std::string name = WhoOf(job.submitted_by()).name;
+      const bool is_mine = name == me || name.empty();
+      (is_mine ? all.mine : all.others).push_back(job.id());
+      if (!is_mine) all.names.insert(name);
+    }
+    if (!reply.more() || reply.jobs().empty()) return all;
+    request.set_before_id(reply.jobs().rbegin()->id());
+  }
 }
 
 bool IsOver(pb::JobState state) {

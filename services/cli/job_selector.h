@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -20,6 +21,13 @@ using WantedState = bool (*)(realitygrad::v1::JobState);
 // state.
 Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator::Client& client,
                                            WantedState wanted = nullptr);
+
+// All in a `wanted` state, and whose those are that are not of whoever asks.
+struct AllJobs {
+  std::vector<int64_t> mine, others;
+  std::set<std::string> names;  // of the others
+};
+Result<AllJobs> SelectAll(coordinator::Client& client, WantedState wanted);
 
 bool IsOver(realitygrad::v1::JobState state);
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <nlohmann/json.hpp>
 
 #include "common/base/clock.h"
@@ -103,13 +104,20 @@ std::string TimeText(int64_t wall_ns) {
   return wall_ns == 0 ? "–" : FormatWallTime(wall_ns).substr(0, 19) + "Z";
 }
 
+Who WhoOf(const std::string& submitted_by) {
+  const size_t at = submitted_by.find(" (");
+  if (at == std::string::npos || submitted_by.back() != ')') return {submitted_by, ""};
+  return {submitted_by.substr(0, at), submitted_by.substr(at + 2, submitted_by.size() - at - 3)};
+}
+
 json JobJson(const pb::JobSummary& job) {
   return {{"id", job.id()},
           {"kind", job.kind()},
           {"name", job.name()},
           {"state", JobStateText(job.state())},
           {"reason", job.reason()},
-          {"submitted_by", job.submitted_by()},
+          {"submitted_by", WhoOf(job.submitted_by()).name},
+          {"submitted_from", WhoOf(job.submitted_by()).remark},
           {"priority", job.priority()},
           {"after", std::vector<int64_t>(job.after_jobs().begin(), job.after_jobs().end())},
           {"waits_for", std::vector<int64_t>(job.waits_for().begin(), job.waits_for().end())},
@@ -168,13 +176,13 @@ json JobDetailsJson(const pb::GetJobReply& reply) {
 }
 
 std::string JobsTable(const std::vector<pb::JobSummary>& jobs) {
-  TextTable table({">ID", "KIND", "NAME", "STATE", ">PROGRESS", ">TASKS", ">ETA", "SUBMITTED", "REASON"});
+  TextTable table({">ID", "KIND", "NAME", "STATE", ">PROGRESS", ">TASKS", ">ETA", "SUBMITTED", "BY", "REASON"});
   for (const pb::JobSummary& job : jobs) {
     table.AddRow({std::to_string(job.id()), job.kind(), job.name(), JobStateText(job.state()),
                   Percent(job.progress()),
                   std::to_string(job.tasks_done()) + "/" + std::to_string(job.tasks_total()),
                   job.finished_ns() != 0 || job.eta_s() < 0 ? "–" : FormatSeconds(job.eta_s()),
-                  TimeText(job.submitted_ns()), job.reason()});
+                  TimeText(job.submitted_ns()), WhoOf(job.submitted_by()).name, job.reason()});
   }
   return table.ToString();
 }
@@ -205,16 +213,35 @@ json WorkerJson(const pb::WorkerInfo& worker) {
           {"slots", worker.slots()},
           {"busy", worker.busy()},
           {"draining", worker.draining()},
+          {"drain_reason", worker.drain_reason()},
           {"unable", worker.unable()},
           {"connected", worker.connected()},
           {"last_seen_s", worker.last_seen_s()},
           {"tasks_done", worker.tasks_done()},
-          {"tasks_failed", worker.tasks_failed()}};
+          {"tasks_failed", worker.tasks_failed()},
+          {"disk_free_bytes", worker.disk_free_bytes()},
+          {"memory_free_bytes", worker.memory_free_bytes()},
+          {"load", worker.load()},
+          {"robot_state", worker.robot_state()},
+          {"last_error", worker.last_error()}};
 }
+
+namespace {
+
+constexpr size_t kErrorShown = 60;
+
+std::string Tenths(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.1f", value);
+  return text;
+}
+std::string Gib(uint64_t bytes) { return bytes == 0 ? "–" : Tenths(static_cast<double>(bytes) / (1 << 30)) + " GiB"; }
+
+}  // namespace
 
 std::string WorkersTable(const std::vector<pb::WorkerInfo>& workers) {
   std::string unable;
-  TextTable table({"NAME", "HOST", "STATE", ">BUSY", ">SLOTS", ">DONE", ">FAILED", ">SEEN", "TAGS"});
+  TextTable table({"NAME", "HOST", "STATE", ">BUSY", ">SLOTS", ">DONE", ">FAILED", ">DISK", ">MEMORY", ">LOAD", ">SEEN", "TAGS", "LAST ERROR"});
   for (const pb::WorkerInfo& worker : workers) {
     std::string tags;
     for (const std::string& tag : worker.tags()) tags += (tags.empty() ? "" : ",") + tag;
@@ -226,7 +253,9 @@ std::string WorkersTable(const std::vector<pb::WorkerInfo>& workers) {
                                               : "idle",
                   std::to_string(worker.busy()), std::to_string(worker.slots()),
                   std::to_string(worker.tasks_done()), std::to_string(worker.tasks_failed()),
-                  FormatSeconds(worker.last_seen_s()) + " ago", tags});
+                  Gib(worker.disk_free_bytes()), Gib(worker.memory_free_bytes()), Tenths(worker.load()),
+                  FormatSeconds(worker.last_seen_s()) + " ago", tags, worker.last_error().substr(0, kErrorShown)});
+    if (!worker.drain_reason().empty()) unable += "\n" + worker.name() + " drains: " + worker.drain_reason() + "\n";
     if (!worker.unable().empty()) unable += "\n" + worker.name() + " can run nothing for now: " + worker.unable() + "\n";
   }
   return table.ToString() + unable;

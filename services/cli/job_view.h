@@ -27,6 +27,12 @@ std::string JobStateText(int state);
 std::string TaskStateText(int state);
 std::string TimeText(int64_t wall_ns);  // "–" for 0
 
+// JobSummary.submitted_by in its parts: "anna (anna@lab7)".
+struct Who {
+  std::string name, remark;
+};
+Who WhoOf(const std::string& submitted_by);
+
 nlohmann::json JobJson(const realitygrad::v1::JobSummary& job);
 nlohmann::json JobDetailsJson(const realitygrad::v1::GetJobReply& job);
 std::string JobsTable(const std::vector<realitygrad::v1::JobSummary>& jobs);

@@ -33,6 +33,15 @@ int BecomeService(char** argv) {
   return rg::cli::Fail(rg::NotFoundError(program + ": cannot start: " + std::strerror(errno)));
 }
 
+// Said even where the rest of the command line makes no sense.
+bool WantsJson(int argc, char** argv) {
+  for (int i = 1; i < argc; ++i) {
+    const std::string word = argv[i], next = i + 1 < argc ? argv[i + 1] : "";
+    if (word == "--output=json" || ((word == "--output" || word == "-o") && next == "json")) return true;
+  }
+  return false;
+}
+
 void AddServiceHelp(CLI::App& app) {
   app.add_subcommand("coordinator", "Run the coordinator (realitygrad coordinator --help)");
   app.add_subcommand("agent",
@@ -78,6 +87,7 @@ int main(int argc, char** argv) {
                                  ? "there is no command '" + rest.front() + "'"
                                  : error.what();
     std::fprintf(stderr, "realitygrad: usage: %s (--help says more)\n", what.c_str());
+    if (WantsJson(argc, argv)) rg::cli::PrintJsonError(rg::InvalidError(what));
     return rg::cli::kExitUsage;
   } catch (const std::bad_alloc&) {
     std::fprintf(stderr, "realitygrad: resource exhausted: out of memory\n");
@@ -86,5 +96,6 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "realitygrad: internal: %s\n", error.what());
     return rg::cli::kExitError;
   }
+  if (context.json() && !context.error.ok() && !rg::cli::AnythingPrinted()) rg::cli::PrintJsonError(context.error);
   return context.exit_code;
 }

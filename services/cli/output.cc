@@ -97,11 +97,20 @@ void WriteLines(std::string_view text, std::FILE* out) {
   if (visible.empty() || visible.back() != '\n') std::fputc('\n', out);
 }
 
+bool printed = false;
+
 }  // namespace
 
 void Print(std::string_view text) {
+  printed = true;
   WriteLines(text, stdout);
   std::fflush(stdout);
+}
+
+bool AnythingPrinted() { return printed; }
+
+void PrintJsonError(const Status& status) {
+  PrintJson("realitygrad.error/1", {{"error", status.message()}, {"code", StatusCodeName(status.code())}});
 }
 
 void PrintNote(std::string_view text) { WriteLines(text, stderr); }

@@ -54,8 +54,12 @@ void PrintJson(std::string_view format, nlohmann::json value);
 // shown instead (VisibleText), line ends and tabs stay.
 void Print(std::string_view text);
 void PrintNote(std::string_view text);
+// Whether anything went to stdout.
+bool AnythingPrinted();
 // A word of a command line as a shell takes it: quoted where it has to be.
 std::string ShellWord(const std::string& text);
+// The error as one JSON value, for who reads stdout.
+void PrintJsonError(const Status& status);
 // "realitygrad: invalid: …" on stderr; returns the exit code to end with.
 int Fail(const Status& status);
 

@@ -109,16 +109,22 @@ void History(Context& context, const ParameterArguments& arguments) {
     Print(robot + " (* is current, - held back until it is promoted)\n" + table.ToString());
     return nullptr;
   };
+  auto client = context.Connect();
+  if (context.Failed(client.status())) return;
+  const auto robots = (*client)->Robots();
+  if (context.Failed(robots.status())) return;
+  if (robots->empty() && !context.json() && !context.quiet()) return Print("no versions yet");
+  if (!arguments.all && robots->empty()) {
+    if (!context.json()) return;
+    return PrintJson("realitygrad.parameter-history/1",
+                     {{"robot", arguments.robot}, {"current", 0}, {"versions", json::array()}});
+  }
   if (!arguments.all) {
     return WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
       const json history = show(client, robot);
       if (!history.is_null()) PrintJson("realitygrad.parameter-history/1", history);
     });
   }
-  auto client = context.Connect();
-  if (context.Failed(client.status())) return;
-  const auto robots = (*client)->Robots();
-  if (context.Failed(robots.status())) return;
   json all = json::array();
   for (const std::string& robot : *robots) all.push_back(show(**client, robot));
   if (context.json() && context.exit_code == kExitOk)

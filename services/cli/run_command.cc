@@ -1,5 +1,10 @@
 // `realitygrad run`: the whole loop on this machine, through the real service.
+#include <fcntl.h>
+#include <sys/file.h>
+
 #include <CLI/CLI.hpp>
+#include <cerrno>
+#include <cstring>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <thread>
@@ -29,6 +34,7 @@ struct RunArguments {
   RunState run;
   std::string parent = "realitygrad-runs", folder;
   bool resume = false, lock_step = false;
+  int lock = -1;  // of the folder
 };
 
 // Whether the next rollout is excited: the first ones, and while a diagnosis says that there is a joint whose friction
@@ -59,7 +65,7 @@ Status RunIteration(LocalService& service, const RobotProfile& profile, RunState
     }
   }
   pb::JobSpec job = jobs::CompileIteration(options, inputs);
-  job.set_submitted_by("run");
+  job.set_submitted_by(UserAtHost());
   if (!quiet)
     PrintNote("iteration " + std::to_string(options.iteration) + " of " + std::to_string(run->iterations));
   // The id makes a repeat after --resume find the job that was under way.
@@ -69,6 +75,15 @@ Status RunIteration(LocalService& service, const RobotProfile& profile, RunState
   RG_ASSIGN_OR_RETURN(json result, FetchResult(service.client(), end));
   run->results.push_back(std::move(result));
   return SaveRun(*run);
+}
+
+// One process at a time goes on with a run: `lock` is its for as long as it lives.
+Status TakeFolder(const std::string& folder, int* lock) {
+  const std::string path = folder + "/.lock";
+  *lock = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+  if (*lock < 0) return InvalidError(path + ": cannot open: " + std::strerror(errno));
+  if (::flock(*lock, LOCK_EX | LOCK_NB) == 0) return Status::Ok();
+  return FailedPreconditionError(folder + ": this run is going on, in another `realitygrad run`");
 }
 
 Status MakeFolder(const RunArguments& arguments, RunState* run) {
@@ -123,6 +138,7 @@ Status Prepare(const Context& context, RunArguments* arguments, RobotProfile* pr
       RG_ASSIGN_OR_RETURN(arguments->folder, UnfinishedRunFolder(arguments->parent));
     }
     RG_ASSIGN_OR_RETURN(run, LoadRun(arguments->folder));
+    RG_RETURN_IF_ERROR(TakeFolder(arguments->folder, &arguments->lock));
   }
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   RG_ASSIGN_OR_RETURN(*profile, LoadRobotProfile(RobotsFolder(settings), run.robot));
@@ -141,6 +157,7 @@ Status Prepare(const Context& context, RunArguments* arguments, RobotProfile* pr
   if (!arguments->resume) {
     run.id = "run-" + RandomHex(8);
     RG_RETURN_IF_ERROR(MakeFolder(*arguments, &run));
+    RG_RETURN_IF_ERROR(TakeFolder(run.folder, &arguments->lock));
   }
   return SaveRun(run);
 }

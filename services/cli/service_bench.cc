@@ -334,11 +334,11 @@ const std::vector<ServiceRow>& ServiceRows() {
       {"task_overhead_ms", "  the same, per task", "ms", 0.1, false},
       {"executor_tasks_per_s", "through executors, 2×2 slots", "1/s", 3'000, true},
       {"dispatch_p99_ms", "submit to worker at 1,000 tasks/s, p99", "ms", 50, false},
-      {"restart_1m_s", "restart with a million tasks known", "s", 2, false},
+      {"restart_1m_s", "restart with a million tasks known", "s", 2, false, "restart with 100,000 tasks known"},
       {"restart_1m_mib", "  memory after it", "MiB", 512, false},
       {"archived_bytes_per_task", "file per ended task, archived", "B", 1'500, false},
       {"workers", "workers on one coordinator", "", 500, true},
-      {"artifact_mb_per_s", "an artefact of 1 GiB, up and down", "MB/s", 60, true}};
+      {"artifact_mb_per_s", "an artefact of 1 GiB, up and down", "MB/s", 60, true, "an artefact of 64 MiB, up and down"}};
   return rows;
 }
 

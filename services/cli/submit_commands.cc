@@ -1,8 +1,9 @@
-#include <unistd.h>
-
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <sstream>
+#include <utility>
 
 #include "common/base/file.h"
 #include "common/model/robot_model.h"
@@ -39,6 +40,13 @@ struct SubmitArguments {
   JobTerms terms;
   bool wait = false, follow = false, dry_run = false;
   double timeout_s = -1;
+};
+
+// Jobs of a file, to be submitted together.
+struct Batch {
+  coordinator::Client* client = nullptr;
+  pb::SubmitManyRequest request;
+  Status status;  // of the line just read
 };
 
 using Compile = pb::JobSpec (*)(const jobs::IterationOptions&, const jobs::IterationInputs&);
@@ -122,13 +130,6 @@ Result<jobs::IterationInputs> FindInputs(coordinator::Client& client, const Robo
   return inputs;
 }
 
-std::string UserAtHost() {
-  char host[256] = "?";
-  gethostname(host, sizeof host - 1);
-  const char* user = getenv("USER");
-  return std::string(user ? user : "user") + "@" + host;
-}
-
 Status PrintGraph(Context& context, const pb::JobSpec& job) {
   std::map<std::string, int> stages;
   for (const auto& task : job.tasks()) ++stages[task.stage()];
@@ -144,18 +145,34 @@ Status PrintGraph(Context& context, const pb::JobSpec& job) {
   return Status::Ok();
 }
 
-Status Submit(Context& context, const std::string& what, Compile compile, SubmitArguments& arguments) {
+// The job as it was asked for. What is found out about it with the coordinator costs some requests.
+Result<pb::JobSpec> CompileJob(Context& context, coordinator::Client& client, const std::string& what, Compile compile,
+                               SubmitArguments& arguments) {
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   RG_ASSIGN_OR_RETURN(const RobotProfile profile, LoadRobotProfile(RobotsFolder(settings), arguments.robot));
   TakeProfile(profile, &arguments.options);
   RG_RETURN_IF_ERROR(context.Usage(jobs::Validate(arguments.options)));
   if (!arguments.trajectory.empty()) arguments.options.rollout.controller = "trajectory";
   RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
-  RG_ASSIGN_OR_RETURN(const auto client, context.Connect());
-  RG_ASSIGN_OR_RETURN(const auto inputs, FindInputs(*client, profile, what, arguments));
+  RG_ASSIGN_OR_RETURN(const auto inputs, FindInputs(client, profile, what, arguments));
   pb::JobSpec job = compile(arguments.options, inputs);
-  job.set_submitted_by(UserAtHost());
-  RG_RETURN_IF_ERROR(context.Usage(arguments.terms.Apply(*client, &job)));
+  RG_RETURN_IF_ERROR(context.Usage(arguments.terms.Apply(client, &job)));
+  return job;
+}
+
+Status AddToBatch(Context& context, const std::string& what, Compile compile, SubmitArguments& arguments, Batch& batch) {
+  if (arguments.wait || arguments.follow || arguments.dry_run || !arguments.out.empty())
+    return InvalidError("--wait, --follow, --out and --dry-run are not for a job of a file");
+  RG_ASSIGN_OR_RETURN(pb::JobSpec job, CompileJob(context, *batch.client, what, compile, arguments));
+  pb::SubmitRequest& submit = *batch.request.add_submits();
+  submit.set_request_id(arguments.request_id);
+  *submit.mutable_job() = std::move(job);
+  return Status::Ok();
+}
+
+Status Submit(Context& context, const std::string& what, Compile compile, SubmitArguments& arguments) {
+  RG_ASSIGN_OR_RETURN(const auto client, context.Connect());
+  RG_ASSIGN_OR_RETURN(const pb::JobSpec job, CompileJob(context, *client, what, compile, arguments));
   if (arguments.dry_run) return PrintGraph(context, job);
   RG_ASSIGN_OR_RETURN(const int64_t id, client->Submit(job, arguments.request_id));
   if (!arguments.wait && !arguments.follow && arguments.out.empty()) {
@@ -186,10 +203,8 @@ Status Submit(Context& context, const std::string& what, Compile compile, Submit
   return Status::Ok();
 }
 
-}  // namespace
-
-void AddSubmitCommands(CLI::App& app, Context& context) {
-  CLI::App* submit = app.add_subcommand("submit", "Submit a job to the coordinator")->require_subcommand(1);
+// `batch` null: each is submitted by itself.
+void AddKinds(CLI::App* submit, Context& context, Batch* batch) {
   const auto add = [&](const char* what, const char* help, Compile compile) {
     auto arguments = std::make_shared<SubmitArguments>();
     CLI::App* command = submit->add_subcommand(what, help);
@@ -203,11 +218,12 @@ void AddSubmitCommands(CLI::App& app, Context& context) {
     command->add_flag("--follow", arguments->follow, "The same, with progress");
     command->add_option("--timeout", arguments->timeout_s, "Seconds to wait at the most");
     command->add_flag("--dry-run", arguments->dry_run, "Show what would be submitted");
-    command->callback(
-        [&context, arguments, what, compile] { context.Failed(Submit(context, what, compile, *arguments)); });
+    command->callback([&context, arguments, what, compile, batch] {
+      if (batch == nullptr) return context.Failed(Submit(context, what, compile, *arguments)), void();
+      batch->status = AddToBatch(context, what, compile, *arguments, *batch);
+    });
     return std::pair{command, arguments};
   };
-  AddSubmitDiagnose(*submit, context);
   auto [iteration, ia] =
       add("iteration", "Trajectories, policy, rollout, identification", jobs::CompileIteration);
   AddTrajectoryFlags(iteration, &ia->options);
@@ -236,6 +252,69 @@ void AddSubmitCommands(CLI::App& app, Context& context) {
   AddIdentifyFlags(identify, &id->options);
   AddPartialFlag(identify, &id->options);
   identify->add_option("--recording", id->recording, "Artefact; default: the newest");
+}
+
+// A line is what follows `realitygrad submit`, as a JSON array of words.
+Status AddLine(Context& context, const std::string& line, Batch& batch) {
+  const json words = json::parse(line, nullptr, false);
+  const bool are_words = words.is_array() && std::all_of(words.begin(), words.end(), [](const json& w) { return w.is_string(); });
+  if (!are_words) return InvalidError("must be an array of strings: [\"trajectories\", \"--seed\", \"7\"]");
+  auto reversed = words.get<std::vector<std::string>>();
+  std::reverse(reversed.begin(), reversed.end());
+  CLI::App app;
+  app.require_subcommand(1);
+  AddKinds(&app, context, &batch);
+  try {
+    app.parse(reversed);
+  } catch (const CLI::ParseError& error) {
+    return InvalidError(error.what());
+  }
+  return std::exchange(batch.status, Status::Ok());
+}
+
+// All lines or, if one makes no sense, none.
+Status SubmitFile(Context& context, const std::string& path) {
+  RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
+  RG_ASSIGN_OR_RETURN(const auto client, context.Connect());
+  Batch batch;
+  batch.client = client.get();
+  std::istringstream lines(text);
+  std::string line;
+  std::vector<int> numbers;  // of the lines with a job
+  for (int number = 1; std::getline(lines, line); ++number) {
+    if (line.find_first_not_of(" \t\r") == std::string::npos) continue;
+    const Status added = AddLine(context, line, batch);
+    if (!added.ok()) return added.WithPrefix(path + ": line " + std::to_string(number));
+    numbers.push_back(number);
+  }
+  RG_ASSIGN_OR_RETURN(const auto reply, client->SubmitMany(std::move(batch.request)));
+  json ids = json::array();
+  for (int i = 0; i < reply.jobs_size(); ++i) {
+    const std::string where = path + ": line " + std::to_string(numbers[static_cast<size_t>(i)]) + ": ";
+    if (!reply.errors(i).empty()) {
+      context.Failed(FailedPreconditionError(where + reply.errors(i)));
+    } else if (!context.json()) {
+      Print(std::to_string(reply.jobs(i)));
+    }
+    ids.push_back(reply.jobs(i) == 0 ? json() : json(reply.jobs(i)));
+  }
+  if (context.json()) PrintJson("realitygrad.submitted-many/1", {{"jobs", ids}});
+  return Status::Ok();
+}
+
+}  // namespace
+
+void AddSubmitCommands(CLI::App& app, Context& context) {
+  CLI::App* submit = app.add_subcommand("submit", "Submit a job to the coordinator, or those of a file")->require_subcommand(0, 1);
+  AddSubmitDiagnose(*submit, context);
+  AddKinds(submit, context, nullptr);
+  auto file = std::make_shared<std::string>();
+  submit->add_option("--file", *file, "One job a line, each an array of the words that follow `submit`: [\"train\", \"--seed\", \"2\"]");
+  submit->callback([&context, submit, file] {
+    if (!submit->get_subcommands().empty()) return;
+    if (file->empty()) throw CLI::RequiredError("a job, or --file");
+    context.Failed(SubmitFile(context, *file));
+  });
 }
 
 }  // namespace rg::cli

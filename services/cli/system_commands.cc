@@ -116,6 +116,7 @@ Finding CheckCoordinator(const Context& context, const Settings& settings) {
   const auto status = (*client)->CoordinatorStatus();
   if (!status.ok())
     return {"coordinator", settings.coordinator.value + ": " + status.status().message(), false, false};
+  if (!status->trouble().empty()) return {"coordinator", settings.coordinator.value + ": " + status->trouble(), false, true};
   return {"coordinator",
           settings.coordinator.value + ", version " + status->version() + ", " +
               std::to_string(status->workers()) + " workers",
@@ -150,7 +151,7 @@ void Doctor(Context& context) {
 // ---- keys ----
 
 struct KeyArguments {
-  std::string name, role = "operator", folder;
+  std::string name, role, folder;  // role empty: the coordinator's of that name, else operator
   bool overwrite = false, robots = false;
 };
 
@@ -158,17 +159,26 @@ std::string FolderOf(const KeyArguments& a) {
   return a.folder.empty() ? transport::DefaultKeyFolder() : a.folder;
 }
 
+// A coordinator's own key is on no list: what it is for is said instead.
+std::string AdviceFor(const KeyArguments& a, const std::string& role) {
+  const std::string file = FolderOf(a) + "/" + a.name;
+  if (role != "coordinator") return "let it in with: realitygrad keys allow " + a.name;
+  return "start it with: realitygrad coordinator --key " + file + ".key --allowed-keys " + FolderOf(a) +
+         "/allowed_keys; others reach it with --server-key " + file + ".pub";
+}
+
 Status GenerateKey(Context& context, const KeyArguments& a) {
-  RG_ASSIGN_OR_RETURN(const auto role, transport::ParseRole(a.role));
+  const std::string role_name = !a.role.empty() ? a.role : a.name == "coordinator" ? "coordinator" : "operator";
+  RG_ASSIGN_OR_RETURN(const auto role, transport::ParseRole(role_name));
   RG_ASSIGN_OR_RETURN(const auto key, transport::GenerateKeyFiles(FolderOf(a), a.name, role, a.overwrite));
   if (context.json()) {
     PrintJson(
         "realitygrad.key/1",
-        {{"name", key.name}, {"role", a.role}, {"public_key", key.keys.public_key}, {"folder", FolderOf(a)}});
+        {{"name", key.name}, {"role", role_name}, {"public_key", key.keys.public_key}, {"folder", FolderOf(a)}});
   } else {
     Print(key.keys.public_key);
     PrintNote("wrote " + FolderOf(a) + "/" + a.name +
-              ".key and .pub; let it in with: realitygrad keys allow " + a.name);
+              ".key and .pub; " + AdviceFor(a, role_name));
   }
   return Status::Ok();
 }
@@ -225,8 +235,8 @@ void AddKeyCommands(CLI::App& app, Context& context) {
     return std::pair{command, arguments};
   };
   auto [generate, arguments] = add("generate", "Make a pair", true, GenerateKey);
-  generate->add_option("--role", arguments->role, "coordinator, worker, agent, operator or viewer")
-      ->capture_default_str();
+  generate->add_option("--role", arguments->role,
+                       "coordinator, worker, agent, operator or viewer (default: operator; of the name coordinator: that)");
   generate->add_flag("--overwrite", arguments->overwrite, "Replace an existing pair");
   add("list", "Pairs of the folder and who is let in", false, ListKeys);
   auto [allow, allow_arguments] = add("allow", "Let the holder of a key in", true, AllowKey);

@@ -54,6 +54,62 @@ TEST_F(JobCommands, ASelectorBeyondAllJobsIsRefusedAndAnUnknownRobotIsNamed) {
   EXPECT_NE(said.err.find("robot 'right' has no parameters; these have: left"), std::string::npos) << said.err;
 }
 
+TEST_F(JobCommands, AllJobsAreCancelledAtOnceAndThoseOfOthersOnlyWhereThatIsMeant) {
+  const auto submit = [&](const std::string& who) {
+    pb::JobSpec job;
+    job.set_kind("test");
+    job.set_submitted_by(who);
+    testing::AddTask(&job, "t", "echo");
+    return *service_.client().Submit(job);
+  };
+  const int64_t others = submit("eve@far");
+  submit("");
+  submit("");
+  const Said refused = Run("job cancel all < /dev/null");
+  EXPECT_EQ(refused.code, 1);
+  EXPECT_NE(refused.err.find("1 of the 3 jobs are others' (eve@far)"), std::string::npos) << refused.err;
+  EXPECT_EQ(RunJson("jobs --state queued")["jobs"].size(), 3u);
+  EXPECT_EQ(RunJson("jobs --by eve@far")["jobs"][0]["id"], others);
+  EXPECT_EQ(RunJson("job cancel all --mine < /dev/null")["jobs"].size(), 2u);
+  EXPECT_EQ(RunJson("jobs --state queued")["jobs"].size(), 1u);
+  EXPECT_EQ(RunJson("job cancel all --others < /dev/null")["jobs"].size(), 1u);
+  const Said none = Run("jobs --state queued");
+  EXPECT_EQ(none.code, 0);
+  EXPECT_EQ(none.out, "no jobs\n");
+  EXPECT_EQ(RunJson("jobs --limit 2")["more"], true);
+}
+
+TEST_F(JobCommands, AFileOfJobsIsSubmittedAtOnceOrNotAtAll) {
+  const std::string file = scratch_ / "jobs.jsonl";
+  const auto write = [&](const std::string& text) { ASSERT_TRUE(WriteFileAtomically(file, text).ok()); };
+  write("[\"trajectories\", \"--name\", \"a\"]\n\n[\"trajectories\", \"--name\", \"b\", \"--seed\", \"x\"]\n");
+  const Said wrong = Run("submit --file jobs.jsonl");
+  EXPECT_EQ(wrong.code, 1);
+  EXPECT_NE(wrong.err.find("jobs.jsonl: line 3: "), std::string::npos) << wrong.err;
+  EXPECT_EQ(RunJson("jobs")["jobs"].size(), 0u);
+  write("[\"trajectories\", \"--name\", \"a\"]\n\n[\"trajectories\", \"--name\", \"b\", \"--seed\", \"2\"]\n");
+  EXPECT_EQ(RunJson("submit --file jobs.jsonl")["jobs"], json::array({1, 2}));
+  const json jobs = RunJson("jobs")["jobs"];
+  ASSERT_EQ(jobs.size(), 2u);
+  EXPECT_EQ(jobs[0]["name"], "b");
+  EXPECT_EQ(jobs[1]["name"], "a");
+}
+
+TEST_F(JobCommands, AnErrorIsJsonOnStdoutTooWhereJsonIsAskedFor) {
+  const Said unknown = Run("job show 77 --output json");
+  EXPECT_EQ(unknown.code, 1);
+  const json error = json::parse(unknown.out, nullptr, false);
+  ASSERT_TRUE(error.is_object()) << unknown.out;
+  EXPECT_EQ(error["format"], "realitygrad.error/1");
+  EXPECT_EQ(error["error"], "there is no job 77");
+  const Said usage = Run("--output json job shw");
+  EXPECT_EQ(usage.code, 2);
+  EXPECT_TRUE(json::parse(usage.out, nullptr, false).is_object()) << usage.out;
+  const Said none = Run("params history");
+  EXPECT_EQ(none.code, 0) << none.err;
+  EXPECT_EQ(none.out, "no versions yet\n");
+}
+
 TEST_F(JobCommands, DescribeSaysAllAboutAJob) {
   service_.StartWorker("a");
   const int64_t id = SubmitOne("fail", R"({"code": 5, "until": 1})");  // unavailable: tried again
