@@ -35,8 +35,8 @@ constexpr char kUsage[] =
     "  disarm   none may; one under way is stopped\n"
     "  stop     stop the arm now, wait until it was seen at rest, and disarm\n"
     "  clear    a person has looked at an arm whose stop was not confirmed\n"
-    "The agent is found by its spool folder (default: REALITYGRAD_AGENT_SPOOL or realitygrad-spool; of\n"
-    "`realitygrad run`: the run's folder, /spool). No coordinator is needed.\n";
+    "The agent is found by its spool folder (default: REALITYGRAD_AGENT_SPOOL or\n"
+    "~/.local/state/realitygrad/spool; of `realitygrad run`: the run's folder, /spool). No coordinator is needed.\n";
 
 struct Words {
   std::string verb, spool, output = "table";
@@ -48,7 +48,7 @@ Result<Words> Parse(const std::vector<std::string>& arguments) {
   Words words;
   words.verb = arguments[1];
   const char* folder = std::getenv("REALITYGRAD_AGENT_SPOOL");
-  words.spool = folder != nullptr ? folder : "realitygrad-spool";
+  words.spool = folder != nullptr ? folder : DefaultSpoolFolder();
   for (size_t i = 2; i < arguments.size(); ++i) {
     std::string name = arguments[i], value;
     const size_t equals = name.find('=');

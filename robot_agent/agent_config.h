@@ -57,6 +57,7 @@ struct AgentConfig {
   bool arm_ends_with_driver() const { return driver == "simulated" && simulated.socket_path.empty(); }
   std::string path;         // of the file; empty: none
   bool dry_run = false;     // not of the file: --dry-run
+  double arm_timeout_s = 0.0;  // not of the file: --arm-timeout
   // Short and slow at first. "first_rollouts": {"duration_s": 2, "speed": 0.4} or null; where it is not said, this
   // for an arm that is neither simulated nor replayed.
   rollouts::FirstRollouts first_rollouts;

@@ -10,6 +10,8 @@
 #include "common/transport/keys.h"
 #include "coordinator/client/client.h"
 #include "robot_agent/agent_commands.h"
+#include "robot_agent/rollout_task.h"
+#include "robot_agent/spool.h"
 #include "robot_agent/spool_delivery.h"
 #include "robot_agent/supervisor.h"
 #include "services/rollouts/recording_bundle.h"
@@ -23,6 +25,7 @@ constexpr char kConfigVariable[] = "REALITYGRAD_AGENT_CONFIG";
 constexpr char kSpoolVariable[] = "REALITYGRAD_AGENT_SPOOL";
 constexpr char kLockStepVariable[] = "REALITYGRAD_AGENT_LOCK_STEP";
 constexpr char kTrustedVariable[] = "REALITYGRAD_AGENT_TRUSTED";
+constexpr char kArmTimeoutVariable[] = "REALITYGRAD_AGENT_ARM_TIMEOUT";
 constexpr char kDryRunVariable[] = "REALITYGRAD_AGENT_DRY_RUN";
 constexpr char kDefaultCoordinator[] = "tcp://127.0.0.1:7341";
 
@@ -30,11 +33,14 @@ constexpr char kHelp[] =
     "realitygrad-agent: flags of its own\n"
     "  --config FILE               what stands beside the robot, realitygrad.agent/1 (required)\n"
     "  --spool FOLDER              recordings being made or waiting for the coordinator (default: "
-    "realitygrad-spool)\n"
+    "~/.local/state/realitygrad/spool)\n"
     "  --lock-step                 a simulated robot runs as fast as it can, not in real time\n"
     "  --arm, --disarmed           rollouts may begin at once, or only after `realitygrad agent arm` "
     "(default: a\n"
     "                              simulated arm is armed, any other is not)\n"
+    "  --arm-timeout SECONDS       a rollout waits so long for the arm to be armed, then it fails (default: it waits "
+    "with the\n"
+    "                              coordinator until the arm is armed)\n"
     "  --trusted                   rollouts are not short and slow at first: the arm is a stand-in\n"
     "  --dry-run                   states are read and torques computed and shown; nothing is sent to the "
     "arm\n"
@@ -63,6 +69,7 @@ void ReadFlags(const std::vector<std::string>& arguments, AgentSettings* setting
     const size_t first = i;
     if (TakeValue(arguments, "--config", &i, &settings->config_path)) continue;
     if (TakeValue(arguments, "--spool", &i, &settings->spool_folder)) continue;
+    if (TakeValue(arguments, "--arm-timeout", &i, &settings->arm_timeout)) continue;
     if (arguments[i] == "--lock-step") {
       settings->lock_step = true;
       continue;
@@ -96,6 +103,7 @@ void TellExecutors(const AgentSettings& settings) {
   setenv(kLockStepVariable, settings.lock_step ? "1" : "0", 1);
   setenv(kTrustedVariable, settings.trusted ? "1" : "0", 1);
   setenv(kDryRunVariable, settings.dry_run ? "1" : "0", 1);
+  setenv(kArmTimeoutVariable, settings.arm_timeout.c_str(), 1);
 }
 
 Result<std::unique_ptr<coordinator::Client>> ConnectFor(const AgentSettings& settings) {
@@ -169,7 +177,20 @@ int RunWorker(const AgentSettings& settings, const KindRegistrar& register_kinds
   std::vector<char*> argv;
   for (auto& word : words) argv.push_back(word.data());
   argv.push_back(nullptr);
-  return worker::AgentMain(static_cast<int>(words.size()), argv.data(), registry);
+  std::function<std::string()> waits_for;
+  if (settings.config.arm_timeout_s == 0.0)
+    waits_for = [&settings] { return WaitsFor(settings.config, settings.spool_folder); };
+  return worker::AgentMain(static_cast<int>(words.size()), argv.data(), registry, std::move(waits_for));
+}
+
+// Seconds; none: 0.
+Result<double> ParseArmTimeout(const std::string& text) {
+  if (text.empty()) return 0.0;
+  char* end = nullptr;
+  const double seconds = std::strtod(text.c_str(), &end);
+  constexpr double kMost = 1e6;
+  if (*end == 0 && seconds > 0.0 && seconds <= kMost) return seconds;
+  return InvalidError("realitygrad-agent: --arm-timeout '" + text + "' is no number of seconds above 0 and up to 1e6");
 }
 
 }  // namespace
@@ -177,10 +198,11 @@ int RunWorker(const AgentSettings& settings, const KindRegistrar& register_kinds
 Result<AgentSettings> ReadAgentSettings(const std::vector<std::string>& arguments) {
   AgentSettings settings;
   settings.config_path = Environment(kConfigVariable);
-  settings.spool_folder = Environment(kSpoolVariable, "realitygrad-spool");
+  settings.spool_folder = Environment(kSpoolVariable, DefaultSpoolFolder());
   settings.lock_step = Environment(kLockStepVariable) == "1";
   settings.dry_run = Environment(kDryRunVariable) == "1";
   settings.trusted = Environment(kTrustedVariable) == "1";
+  settings.arm_timeout = Environment(kArmTimeoutVariable);
   settings.coordinator = Environment("REALITYGRAD_COORDINATOR", kDefaultCoordinator);
   settings.key_path = Environment("REALITYGRAD_KEY");
   settings.server_key_path = Environment("REALITYGRAD_SERVER_KEY");
@@ -189,6 +211,7 @@ Result<AgentSettings> ReadAgentSettings(const std::vector<std::string>& argument
   RG_ASSIGN_OR_RETURN(settings.config, LoadAgentConfig(settings.config_path));
   settings.config.simulated.lock_step |= settings.lock_step;
   settings.config.dry_run = settings.dry_run;
+  RG_ASSIGN_OR_RETURN(settings.config.arm_timeout_s, ParseArmTimeout(settings.arm_timeout));
   if (settings.trusted) settings.config.first_rollouts = {};
   return settings;
 }

@@ -41,6 +41,7 @@ int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds)
 struct AgentSettings {
   AgentConfig config;
   std::string config_path, spool_folder;
+  std::string arm_timeout;  // seconds, as they were written; empty: it waits with the coordinator
   bool lock_step = false, dry_run = false, trusted = false;
   std::optional<bool> armed;  // said on the command line
   bool is_executor = false;

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <thread>
 
 #include "common/base/clock.h"
 #include "common/base/hash.h"
@@ -15,6 +16,7 @@
 #include "robot_agent/dry_run_driver.h"
 #include "robot_agent/guard/guard_driver.h"
 #include "robot_agent/rollout_runner.h"
+#include "robot_agent/safety/latch.h"
 #include "robot_agent/spool_delivery.h"
 #include "services/rollouts/recording_bundle.h"
 #include "services/rollouts/reference_motion.h"
@@ -108,6 +110,20 @@ Status CheckArmed(const AgentConfig& config, const Result<std::unique_ptr<Board>
                                  ", a stop would not be heard: " + board.status().message());
 }
 
+// For as long as --arm-timeout says. What is wrong then is said by the checks that follow.
+Status WaitUntilArmed(const AgentConfig& config, const std::string& spool_folder, const ProgressFn& progress,
+                      const CancelToken& stop) {
+  const double begin = RealClock().SteadySeconds();
+  while (true) {
+    const std::string why = WaitsFor(config, spool_folder);
+    const double waited_s = RealClock().SteadySeconds() - begin;
+    if (why.empty() || waited_s >= config.arm_timeout_s) return Status::Ok();
+    if (stop.cancelled()) return CancelledError("told to stop: it " + why);
+    if (progress) progress({"waiting", waited_s, config.arm_timeout_s, why});
+    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  }
+}
+
 std::string GuardProgram() {
   std::error_code error;
   const auto self = std::filesystem::read_symlink("/proc/self/exe", error);
@@ -183,6 +199,7 @@ void SlowDown(double speed, RolloutPlan* plan) {
 Result<RolloutResult> RunOnce(const Common& all, const RolloutPlan& plan, std::vector<std::string> made_again,
                               const ProgressFn& progress, const CancelToken& stop) {
   RG_ASSIGN_OR_RETURN(const auto controller, MakeController(all.input, all.model, plan, all.motion));
+  RG_RETURN_IF_ERROR(WaitUntilArmed(all.config, all.spool_folder, progress, stop));
   const auto board = Board::Open(all.spool_folder);
   RG_RETURN_IF_ERROR(CheckArmed(all.config, board));
   const GuardDriver* guard = nullptr;
@@ -250,6 +267,14 @@ Result<RolloutTaskOutput> RunUntilItEnds(const Common& all, const RolloutPlan& f
 }
 
 }  // namespace
+
+std::string WaitsFor(const AgentConfig& config, const std::string& spool_folder) {
+  const auto board = Board::Open(spool_folder);
+  if (!board.ok() || (*board)->mover() != 0) return "";
+  const auto latch = config.arm_ends_with_driver() ? std::nullopt : Latch(spool_folder).Read();
+  if (latch) return "waits for " + config.name + ", which is latched (" + latch->reason + "): realitygrad agent clear";
+  return (*board)->armed() ? "" : "waits for " + config.name + " to be armed: realitygrad agent arm";
+}
 
 Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::string& spool_folder,
                                          const RolloutTaskInput& input, const ProgressFn& progress,

@@ -45,6 +45,9 @@ struct RolloutTaskOutput {
   Status usable;
 };
 
+// Why no rollout may begin now though the agent is there: "waits for mico2 to be armed: …"; empty: one may.
+std::string WaitsFor(const AgentConfig& config, const std::string& spool_folder);
+
 // `stop`: cancelled by the operator or the coordinator: the arm stops as defined, the recording counts.
 Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::string& spool_folder,
                                          const RolloutTaskInput& input, const ProgressFn& progress,

@@ -9,6 +9,7 @@
 #include <cerrno>
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -59,6 +60,13 @@ std::vector<std::string> IdsIn(const fs::path& folder, const std::string& suffix
 }
 
 }  // namespace
+
+std::string DefaultSpoolFolder() {
+  const char* state = std::getenv("XDG_STATE_HOME");
+  const char* home = std::getenv("HOME");
+  if (state != nullptr && *state == '/') return std::string(state) + "/realitygrad/spool";
+  return std::string(home != nullptr ? home : "/var/tmp") + "/.local/state/realitygrad/spool";
+}
 
 Result<std::unique_ptr<Spool>> Spool::Open(const std::string& folder, double wait_s) {
   return OpenWith(folder, "lock", wait_s);

@@ -24,6 +24,9 @@
 
 namespace rg::robot_agent {
 
+// Where recordings are unless a flag says otherwise: in the user's state folder, whatever the working directory.
+std::string DefaultSpoolFolder();
+
 class Spool {
  public:
   // Makes the folders and takes the lock of those who run rollouts. kFailedPrecondition: another process has

@@ -69,9 +69,12 @@ class RolloutJobs : public ::testing::Test {
     return false;
   }
   std::string Logs() const { return ReadFile(scratch_ / "realitygrad-agent.log").value(); }
-  std::string address() const { return "ipc://" + (scratch_ / "c.sock"); }
 
   const ScratchFolder scratch_;
+
+ private:
+  std::string address() const { return "ipc://" + (scratch_ / "c.sock"); }
+
   std::optional<Background> coordinator_, worker_, agent_;
 };
 
@@ -102,6 +105,36 @@ TEST_F(RolloutJobs, ARolloutThatDidNotBeginIsBegunByARetry) {
   EXPECT_EQ(after[1]["began"], true);
   const Said once_more = Run("job retry last");
   EXPECT_NE(once_more.code, 0) << "what succeeded is not tried again";
+}
+
+// Nothing is lost while nobody has armed the arm: the job says what it waits for, and begins by itself.
+TEST_F(RolloutJobs, ARolloutWaitsUntilItsArmIsArmedAndSaysSo) {
+  StartAgent({80, 40}, "--trusted --disarmed");
+  ASSERT_EQ(Submit("--rollout-seconds 1").code, 0) << Logs();
+  std::string reason;
+  for (int i = 0; i < 600 && reason.empty(); ++i) {
+    const json jobs = RunJson("jobs");
+    if (jobs.is_object()) reason = jobs["jobs"][0].value("reason", "");
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  }
+  EXPECT_NE(reason.find("waits for small to be armed: realitygrad agent arm"), std::string::npos) << reason << Logs();
+  EXPECT_EQ(RunJson("job show last")["state"], "queued");
+  EXPECT_EQ(Run("robot hold small 'belt replaced'").code, 0);
+  EXPECT_EQ(RunProgram(scratch_, "agent arm --spool spool").code, 0);
+  const json held = RunJson("robot holds");
+  EXPECT_EQ(held["holds"][0]["reason"], "belt replaced");
+  EXPECT_NE(RunJson("jobs")["jobs"][0].value("reason", "").find("is held"), std::string::npos);
+  EXPECT_EQ(Run("robot release small").code, 0);
+  const Said waited = Run("job wait last --timeout 300");
+  EXPECT_EQ(waited.code, 0) << waited.err << waited.out << Logs();
+  EXPECT_EQ(RunJson("job show last")["reason"], "");
+}
+
+TEST_F(RolloutJobs, ARolloutFailsWhereNobodyArmsItsArmInTime) {
+  StartAgent({80, 40}, "--trusted --disarmed --arm-timeout 0.5");
+  const Said failed = Submit("--rollout-seconds 1 --wait --timeout 300");
+  EXPECT_EQ(failed.code, 3) << failed.err << Logs();
+  EXPECT_NE(failed.out.find("is disarmed"), std::string::npos) << failed.out;
 }
 
 // A cancelled task is given no time at all: the rollout's process lives until its arm was seen at rest all the same.
