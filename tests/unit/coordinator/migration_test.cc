@@ -29,14 +29,15 @@ class Migration : public ::testing::TestWithParam<int> {
 
   void Write(const std::string& name) {
     const char* source = std::getenv("RG_SOURCE_DIR");
-    const auto sql =
-        ReadFile(std::string(source != nullptr ? source : ".") + "/tests/unit/coordinator/fixtures/v" +
-                 std::to_string(GetParam()) + "_" + name + ".sql");
-    ASSERT_TRUE(sql.ok()) << sql.status().ToString();
+    const std::string fixtures =
+        std::string(source != nullptr ? source : ".") + "/tests/unit/coordinator/fixtures/v";
+    std::string sql;
+    for (int v = 1; v <= GetParam(); ++v) sql += ReadFile(fixtures + std::to_string(v) + ".sql").value();
+    sql += ReadFile(fixtures + std::to_string(GetParam()) + "_" + name + ".sql").value() + "COMMIT;";
     sqlite3* raw = nullptr;
     ASSERT_EQ(sqlite3_open(path_.c_str(), &raw), SQLITE_OK);
     char* error = nullptr;
-    EXPECT_EQ(sqlite3_exec(raw, sql->c_str(), nullptr, nullptr, &error), SQLITE_OK) << error;
+    EXPECT_EQ(sqlite3_exec(raw, sql.c_str(), nullptr, nullptr, &error), SQLITE_OK) << error;
     sqlite3_close(raw);
   }
   std::unique_ptr<store::Database> Open() {
