@@ -2,12 +2,8 @@
 
 #include <cmath>
 
-#include "services/policy/byte_stream.h"
-
 namespace rg::policy {
 namespace {
-
-constexpr std::string_view kDatasetFormat = "realitygrad.dataset/1";
 
 Status CheckFinite(const Eigen::MatrixXf& values, const char* what) {
   if (values.allFinite()) return Status::Ok();
@@ -74,41 +70,6 @@ Status Append(Dataset* dataset, const Dataset& more) {
   dataset->outputs.rightCols(more.outputs.cols()) = more.outputs;
   dataset->trajectory.insert(dataset->trajectory.end(), more.trajectory.begin(), more.trajectory.end());
   return Status::Ok();
-}
-
-std::string SerializeDataset(const Dataset& d) {
-  ByteWriter out(kDatasetFormat);
-  out.Put(static_cast<uint32_t>(d.inputs.rows()));
-  out.Put(static_cast<uint32_t>(d.outputs.rows()));
-  out.Array(d.trajectory.data(), d.trajectory.size());
-  out.Array(d.inputs.data(), static_cast<uint64_t>(d.inputs.size()));
-  out.Array(d.outputs.data(), static_cast<uint64_t>(d.outputs.size()));
-  return out.Finish();
-}
-
-Result<Dataset> ParseDataset(std::string_view bytes, const std::string& source) {
-  RG_ASSIGN_OR_RETURN(ByteReader in, ByteReader::Open(bytes, kDatasetFormat, source));
-  uint32_t input_size = 0, output_size = 0;
-  std::vector<float> inputs, outputs;
-  Dataset d;
-  RG_RETURN_IF_ERROR(in.Get(&input_size));
-  RG_RETURN_IF_ERROR(in.Get(&output_size));
-  RG_RETURN_IF_ERROR(in.Array(&d.trajectory));
-  RG_RETURN_IF_ERROR(in.Array(&inputs));
-  RG_RETURN_IF_ERROR(in.Array(&outputs));
-  RG_RETURN_IF_ERROR(in.ExpectEnd());
-  const uint64_t points = d.trajectory.size();
-  if (inputs.size() != points * input_size || outputs.size() != points * output_size) {
-    return InvalidError(source + ": sizes of inputs and outputs do not fit its number of points");
-  }
-  const auto cols = static_cast<Eigen::Index>(points);
-  d.inputs = Eigen::Map<const Eigen::MatrixXf>(inputs.data(), input_size, cols);
-  d.outputs = Eigen::Map<const Eigen::MatrixXf>(outputs.data(), output_size, cols);
-  if (points > 0) {
-    const Status status = CheckDataset(d);
-    if (!status.ok()) return status.WithPrefix(source);
-  }
-  return d;
 }
 
 }  // namespace rg::policy

@@ -7,7 +7,6 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "common/base/status.h"
@@ -30,10 +29,5 @@ Status CheckDataset(const Dataset& dataset);
 
 // `more` behind `dataset`; the trajectory ids of `more` are kept. Error: sizes that do not fit.
 Status Append(Dataset* dataset, const Dataset& more);
-
-// "realitygrad.dataset/1": little-endian, float32, SHA-256 at the end. Parsing refuses what is
-// truncated, changed, of another version or not finite.
-std::string SerializeDataset(const Dataset& dataset);
-Result<Dataset> ParseDataset(std::string_view bytes, const std::string& source_name);
 
 }  // namespace rg::policy

@@ -2,8 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
+#include "common/base/printf.h"
 #include "common/recordings/recording_set.h"
 
 namespace rg::rollouts {
@@ -22,9 +22,8 @@ Eigen::MatrixXd SlopesOf(const Eigen::VectorXd& t, const Eigen::MatrixXd& q) {
 }
 
 Status Beyond(const std::string& joint, const char* what, double value, double time, double limit) {
-  char text[200];
-  std::snprintf(text, sizeof text, "motion: %s has %s %.4g at %.3g s, its limit is %.4g", joint.c_str(), what,
-                value, time, limit);
+  const std::string text =
+      Printf("motion: %s has %s %.4g at %.3g s, its limit is %.4g", joint.c_str(), what, value, time, limit);
   return InvalidError(text);
 }
 
@@ -61,13 +60,6 @@ Result<ReferenceMotion> ParseMotion(std::string_view csv, const std::string& sou
   motion.q = rows.q;
   motion.v = rows.has_velocity() ? rows.v : SlopesOf(rows.t, rows.q);
   return motion;
-}
-
-std::string FormatMotion(const ReferenceMotion& motion) {
-  recordings::Recording rows;
-  rows.joints = motion.joints;
-  rows.t = motion.t, rows.q = motion.q, rows.v = motion.v;
-  return recordings::FormatCsv(rows, 9);
 }
 
 Status CheckMotion(const ReferenceMotion& motion, const MotionBounds& bounds) {

@@ -28,7 +28,6 @@ struct ReferenceMotion {
 // One line for everything that is wrong with the text: it names row, column and value.
 Result<ReferenceMotion> ParseMotion(std::string_view csv, const std::string& source,
                                     const model::RobotModel& robot);
-std::string FormatMotion(const ReferenceMotion& motion);
 
 // The bounds a motion has to keep, n each: rad or m, rad/s or m/s.
 struct MotionBounds {

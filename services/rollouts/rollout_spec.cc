@@ -2,24 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <nlohmann/json.hpp>
-#include <set>
-#include <vector>
 
 namespace rg::rollouts {
 namespace {
 
-using nlohmann::json;
-
 constexpr double kMargin = 0.05;  // rad (m), of goals to the safety box
 constexpr double kSpeedShare = 0.6;
-
-Eigen::VectorXd ReadVector(const json& value) {
-  const auto values = value.get<std::vector<double>>();
-  return Eigen::Map<const Eigen::VectorXd>(values.data(), static_cast<Eigen::Index>(values.size()));
-}
-
-std::vector<double> ToVector(const Eigen::VectorXd& x) { return {x.data(), x.data() + x.size()}; }
 
 Status CheckRange(const char* field, double value, double low, double high) {
   if (std::isfinite(value) && value >= low && value <= high) return Status::Ok();
@@ -50,45 +38,6 @@ Status CheckSpec(const RolloutSpec& spec) {
   if ((place != 0 && place != 3) || !spec.goal_position.allFinite())
     return InvalidError("rollout spec: goal_position needs three finite numbers");
   return Status::Ok();
-}
-
-Result<RolloutSpec> ParseSpec(const std::string& text) {
-  static const std::set<std::string> kKnown{"format",       "id",         "rate_hz",       "duration_s",
-                                            "start",        "goal",       "goal_position", "goal_seed",
-                                            "goal_reach_s", "excitation", "robot_seed"};
-  RolloutSpec spec;
-  try {
-    const json root = json::parse(text);
-    for (const auto& [key, value] : root.items())
-      if (!kKnown.contains(key)) return InvalidError("rollout spec: unknown field \"" + key + "\"");
-    if (root.at("format") != kSpecFormat)
-      return InvalidError("rollout spec: format is " + root.at("format").dump() + ", needs " + kSpecFormat);
-    root.at("id").get_to(spec.id);
-    spec.rate_hz = root.value("rate_hz", spec.rate_hz);
-    spec.duration_s = root.value("duration_s", spec.duration_s);
-    spec.goal_seed = root.value("goal_seed", spec.goal_seed);
-    spec.goal_reach_s = root.value("goal_reach_s", spec.goal_reach_s);
-    spec.excitation = root.value("excitation", spec.excitation);
-    spec.robot_seed = root.value("robot_seed", spec.robot_seed);
-    if (root.contains("start")) spec.start = ReadVector(root["start"]);
-    if (root.contains("goal")) spec.goal = ReadVector(root["goal"]);
-    if (root.contains("goal_position")) spec.goal_position = ReadVector(root["goal_position"]);
-  } catch (const json::exception& error) {
-    return InvalidError(std::string("rollout spec: ") + error.what());
-  }
-  RG_RETURN_IF_ERROR(CheckSpec(spec));
-  return spec;
-}
-
-std::string SpecToJson(const RolloutSpec& spec) {
-  json root{{"format", kSpecFormat},         {"id", spec.id},
-            {"rate_hz", spec.rate_hz},       {"duration_s", spec.duration_s},
-            {"goal_seed", spec.goal_seed},   {"goal_reach_s", spec.goal_reach_s},
-            {"excitation", spec.excitation}, {"robot_seed", spec.robot_seed}};
-  if (spec.start.size() > 0) root["start"] = ToVector(spec.start);
-  if (spec.goal.size() > 0) root["goal"] = ToVector(spec.goal);
-  if (spec.goal_position.size() > 0) root["goal_position"] = ToVector(spec.goal_position);
-  return root.dump();
 }
 
 Eigen::VectorXd SampleGoal(const model::RobotModel& model, const Eigen::VectorXd& start,

@@ -12,10 +12,9 @@
 
 namespace rg::rollouts {
 
-inline constexpr const char* kSpecFormat = "realitygrad.rollout_spec/1";
-
 struct RolloutSpec {
-  // Also the name of the recording and its identity when it is delivered twice (services/jobs/rollout_task_kind.cc).
+  // Also the name of the recording and its identity when it is delivered twice
+  // (robot_agent/rollout/rollout_task_kind.cc).
   std::string id;
   double rate_hz = 25.0;
   double duration_s = 6.0;
@@ -32,13 +31,9 @@ struct RolloutSpec {
   uint64_t robot_seed = 1;  // of a simulated robot's sensor noise
 };
 
-// {"format", "id", "rate_hz", "duration_s", "start"?, "goal"?, "goal_position"?, "goal_seed", "goal_reach_s",
-// "excitation", "robot_seed"}; ranges are checked, unknown fields refused.
 // Plain id (80 letters, digits, '-', '_', '.'; it becomes the name of files), rate 1 to 1000 Hz, duration 0.1
-// to 600 s, finite numbers. Whoever takes a specification from elsewhere than ParseSpec checks it with this.
+// to 600 s, finite numbers.
 Status CheckSpec(const RolloutSpec& spec);
-Result<RolloutSpec> ParseSpec(const std::string& json);
-std::string SpecToJson(const RolloutSpec& spec);
 
 // Uniform in the box |q - start| ≤ 0.6 · v_max · reach_s cut by the position limits less a margin:
 // [lower, upper] (n each) is the safety box, so that a goal never asks to leave it. At least one joint

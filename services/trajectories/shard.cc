@@ -219,29 +219,4 @@ Result<Shard> GenerateShard(const sim::Plant& plant, const Eigen::VectorXd& valu
   return shard;
 }
 
-Result<Shard> MergeShards(std::vector<Shard> shards) {
-  if (shards.empty()) return InvalidError("no shards to merge");
-  Shard merged = std::move(shards[0]);
-  uint64_t end = merged.first + merged.count;
-  for (size_t s = 1; s < shards.size(); ++s) {
-    Shard& other = shards[s];
-    if (other.seed != merged.seed) return InvalidError("shards of different seeds");
-    if (other.joints != merged.joints) return InvalidError("shards of different robots");
-    if (other.interval_s != merged.interval_s) return InvalidError("shards of different control intervals");
-    merged.first = std::min(merged.first, other.first);
-    end = std::max(end, other.first + other.count);
-    for (int i = 0; i < kFailureKinds; ++i) merged.failures[i] += other.failures[i];
-    merged.unfilled.insert(merged.unfilled.end(), other.unfilled.begin(), other.unfilled.end());
-    std::move(other.trajectories.begin(), other.trajectories.end(), std::back_inserter(merged.trajectories));
-  }
-  merged.count = static_cast<uint32_t>(end - merged.first);
-  std::sort(merged.unfilled.begin(), merged.unfilled.end());
-  auto& t = merged.trajectories;
-  std::sort(t.begin(), t.end(), [](const Trajectory& a, const Trajectory& b) { return a.slot < b.slot; });
-  const auto twice = std::adjacent_find(
-      t.begin(), t.end(), [](const Trajectory& a, const Trajectory& b) { return a.slot == b.slot; });
-  if (twice != t.end()) return InvalidError("slot " + std::to_string(twice->slot) + " is in two shards");
-  return merged;
-}
-
 }  // namespace rg::trajectories

@@ -104,8 +104,4 @@ std::string SerializeShard(const Shard& shard);
 // the bytes in errors.
 Result<Shard> ParseShard(std::string_view bytes, const std::string& source);
 
-// Shards of one seed and robot, in slot order. Refuses different seeds, joints or intervals and slots
-// that occur twice.
-Result<Shard> MergeShards(std::vector<Shard> shards);
-
 }  // namespace rg::trajectories

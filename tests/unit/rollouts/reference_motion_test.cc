@@ -51,14 +51,6 @@ TEST(ReferenceMotion, BetweenRowsIsTheCubicAndOutsideItRests) {
   EXPECT_EQ(v[0] + a[0], 0.0);
 }
 
-TEST(ReferenceMotion, WrittenAndReadIsTheSame) {
-  const auto motion =
-      ParseMotion(std::string(kHead) + "0,0.125,0\n0.1,0.25,0.5\n0.2,0.25,0.5\n", "m.csv", Arm()).value();
-  const auto again = ParseMotion(FormatMotion(motion), "m.csv", Arm()).value();
-  EXPECT_EQ(again.q, motion.q);
-  EXPECT_LT((again.v - motion.v).norm(), 1e-8);
-}
-
 TEST(ReferenceMotion, OneLineSaysWhatIsOutsideWhichLimitWhen) {
   const auto check = [](const std::string& rows) {
     const auto motion = ParseMotion(kHead + rows, "m.csv", Arm());
