@@ -2,6 +2,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "coordinator/client/as_json.h"
 #include "coordinator/web/feed_json.h"
 
 namespace rg::coordinator::web {
@@ -154,7 +155,7 @@ Result<std::string> Feed::Job(int64_t id) {
     if (reply.job().tasks_total() <= kMaxTasks) {
       RG_ASSIGN_OR_RETURN(reply, client.GetJob(id, true, true));
     }
-    return JobDetailsJson(reply, clock_->WallNanos());
+    return JobDetailsJson(reply, false, clock_->WallNanos());
   });
 }
 
@@ -181,7 +182,7 @@ Result<std::string> Feed::Workers() {
   return OnceJson("workers", kMomentNs, [&](Client& client) -> Result<json> {
     RG_ASSIGN_OR_RETURN(const auto workers, client.Workers());
     json list = json::array();
-    for (const auto& worker : workers) list.push_back(WorkerJson(worker));
+    for (const auto& worker : workers) list.push_back(SeenWorkerJson(worker));
     return json{{"workers", list}};
   });
 }

@@ -13,19 +13,6 @@ namespace {
 namespace pb = ::realitygrad::v1;
 using nlohmann::json;
 
-json InfoJson(const pb::ArtifactInfo& info) {
-  json metadata = json::parse(info.metadata_json().empty() ? "{}" : info.metadata_json(), nullptr, false);
-  return {{"sha256", info.sha256()},
-          {"kind", info.kind()},
-          {"size_bytes", info.size_bytes()},
-          {"created", FormatWallTime(info.created_ns())},
-          {"job", info.job_id()},
-          {"task", info.task_id()},
-          {"metadata", metadata.is_discarded() ? json(nullptr) : metadata},
-          {"parents", std::vector<std::string>(info.parents().begin(), info.parents().end())},
-          {"pins", std::vector<std::string>(info.pins().begin(), info.pins().end())}};
-}
-
 std::string Bytes(uint64_t n) {
   char text[32];
   const char* units[] = {"B", "KiB", "MiB", "GiB"};
@@ -57,7 +44,7 @@ Status List(Context& context, const ArtifactArguments& arguments, coordinator::C
                       client.ListArtifacts(arguments.kind, arguments.job, arguments.limit));
   if (context.json()) {
     json list = json::array();
-    for (const auto& a : artifacts) list.push_back(InfoJson(a));
+    for (const auto& a : artifacts) list.push_back(coordinator::ArtifactJson(a));
     PrintJson("realitygrad.artifacts/1", {{"artifacts", list}});
     return Status::Ok();
   }
@@ -74,9 +61,9 @@ Status List(Context& context, const ArtifactArguments& arguments, coordinator::C
 Status Show(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
   RG_ASSIGN_OR_RETURN(const auto info, client.ShowArtifact(arguments.hash));
   if (context.json()) {
-    PrintJson("realitygrad.artifact/1", InfoJson(info));
+    PrintJson("realitygrad.artifact/1", coordinator::ArtifactJson(info));
   } else {
-    Print(InfoJson(info).dump(2));
+    Print(coordinator::ArtifactJson(info).dump(2));
   }
   return Status::Ok();
 }
@@ -92,7 +79,7 @@ Status Get(Context& context, const ArtifactArguments& arguments, coordinator::Cl
       arguments.out.empty() ? info.kind() + "-" + info.sha256().substr(0, 12) : arguments.out;
   RG_ASSIGN_OR_RETURN(const uint64_t size, client.GetArtifactFile(info.sha256(), path));
   if (context.json()) {
-    json written = InfoJson(info);
+    json written = coordinator::ArtifactJson(info);
     written["out"] = path;
     PrintJson("realitygrad.artifact/1", written);
   } else if (!context.quiet())
@@ -106,7 +93,7 @@ Status Lineage(Context& context, const ArtifactArguments& arguments, coordinator
                       client.Lineage(info.sha256(), !arguments.descendants, arguments.descendants));
   if (context.json()) {
     json nodes = json::array(), edges = json::array();
-    for (const auto& node : lineage.nodes()) nodes.push_back(InfoJson(node));
+    for (const auto& node : lineage.nodes()) nodes.push_back(coordinator::ArtifactJson(node));
     for (const auto& edge : lineage.edges())
       edges.push_back({{"parent", edge.parent()}, {"child", edge.child()}});
     PrintJson("realitygrad.lineage/1", {{"nodes", nodes}, {"edges", edges}});
@@ -164,7 +151,7 @@ Status Gc(Context& context, const ArtifactArguments& arguments, coordinator::Cli
                                             dry_run, static_cast<int64_t>(arguments.forget_days * 86400e9)));
   if (context.json()) {
     json removed = json::array();
-    for (const auto& a : report.removed()) removed.push_back(InfoJson(a));
+    for (const auto& a : report.removed()) removed.push_back(coordinator::ArtifactJson(a));
     PrintJson("realitygrad.gc/1", {{"dry_run", dry_run},
                                    {"bytes", report.bytes()},
                                    {"complete", !report.more()},
@@ -187,7 +174,7 @@ Status PinOrUnpin(Context& context, const ArtifactArguments& arguments, coordina
   RG_RETURN_IF_ERROR(client.Pin(info.sha256(), arguments.owner, unpin));
   RG_ASSIGN_OR_RETURN(const auto now, client.ShowArtifact(info.sha256()));
   if (context.json()) {
-    PrintJson("realitygrad.artifact/1", InfoJson(now));
+    PrintJson("realitygrad.artifact/1", coordinator::ArtifactJson(now));
   } else if (!context.quiet()) {
     PrintNote(now.sha256().substr(0, 12) +
               (unpin ? " is no longer kept for " : " and what it was made from are kept for ") +

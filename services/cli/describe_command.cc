@@ -106,18 +106,11 @@ std::string Text(const Description& d) {
 }
 
 json Json(const Description& d) {
-  json out = JobDetailsJson(d.job);
+  json out = coordinator::JobDetailsJson(d.job, true);
   out["children"] = json::array();
-  for (const auto& child : d.children) out["children"].push_back(JobJson(child));
+  for (const auto& child : d.children) out["children"].push_back(coordinator::JobJson(child));
   out["events"] = json::array();
-  for (const auto& e : d.events) {
-    out["events"].push_back({{"id", e.id()},
-                             {"time", FormatWallTime(e.wall_ns())},
-                             {"task", e.task()},
-                             {"worker", e.worker()},
-                             {"event", e.kind()},
-                             {"detail", e.detail()}});
-  }
+  for (const auto& e : d.events) out["events"].push_back(coordinator::EventJson(e));
   return out;
 }
 

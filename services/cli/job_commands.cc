@@ -113,7 +113,7 @@ void ShowJobs(const Context& context, const pb::ListJobsReply& reply, const List
     for (const auto& job : jobs) Print(std::to_string(job.id()));
   } else if (context.json()) {
     json list = json::array();
-    for (const auto& job : jobs) list.push_back(JobJson(job));
+    for (const auto& job : jobs) list.push_back(coordinator::JobJson(job));
     PrintJson("realitygrad.jobs/1", {{"jobs", list}, {"more", reply.more()}});
   } else {
     Print(JobsText(jobs, arguments));
@@ -134,7 +134,7 @@ Status WatchJobs(const Context& context, coordinator::Client& client, const pb::
       const auto [known, is_new] = revisions.try_emplace(job.id(), job.revision());
       if (!is_new && known->second == job.revision()) continue;
       known->second = job.revision();
-      if (context.json()) Print(JobJson(job).dump(-1, ' ', false, json::error_handler_t::replace));
+      if (context.json()) Print(coordinator::Dump(coordinator::JobJson(job)));
       if (context.quiet()) Print(std::to_string(job.id()));
     }
     const std::string text = JobsText(jobs, arguments);
@@ -190,7 +190,7 @@ void ShowJob(Context& context, const JobArguments& arguments) {
   const auto show = [&](coordinator::Client& client, int64_t id) -> json {
     const auto job = client.GetJob(id, true, true);
     if (context.Failed(job.status())) return nullptr;
-    if (context.json()) return JobDetailsJson(*job);
+    if (context.json()) return coordinator::JobDetailsJson(*job, true);
     if (context.quiet()) {
       Print(std::to_string(job->job().id()));
     } else {
@@ -208,7 +208,7 @@ void WatchJob(Context& context, const JobArguments& arguments) {
                            : FollowJob(client, id, arguments.timeout_s, context.quiet());
     if (context.Failed(job.status())) return nullptr;
     context.exit_code = coordinator::ExitCodeOf(job->job().state());
-    if (context.json()) return JobDetailsJson(*job);
+    if (context.json()) return coordinator::JobDetailsJson(*job, true);
     if (!context.quiet()) Print(JobDetails(*job, false));
     return nullptr;
   };
@@ -255,7 +255,7 @@ Result<std::vector<int64_t>> AllFor(coordinator::Client& client, const JobArgume
 }
 
 json ShowActedOn(const Context& context, const pb::JobSummary& job) {
-  if (context.json()) return JobJson(job);
+  if (context.json()) return coordinator::JobJson(job);
   if (!context.quiet()) Print("job " + std::to_string(job.id()) + " is " + JobStateText(job.state()));
   return nullptr;
 }
@@ -293,7 +293,7 @@ void SetPriority(Context& context, const JobArguments& arguments) {
   const auto set = [&](coordinator::Client& client, int64_t id) -> json {
     const auto job = client.SetPriority(id, arguments.priority);
     if (context.Failed(job.status())) return nullptr;
-    if (context.json()) return JobJson(*job);
+    if (context.json()) return coordinator::JobJson(*job);
     if (!context.quiet())
       Print("job " + std::to_string(job->id()) + " has priority " + std::to_string(job->priority()));
     return nullptr;
@@ -324,13 +324,7 @@ void ListEvents(Context& context, const EventArguments& arguments) {
       ++count;
       if (context.quiet()) Print(std::to_string(event.id()));
       if (context.json()) {
-        list.push_back({{"id", event.id()},
-                        {"time", FormatWallTime(event.wall_ns())},
-                        {"job", event.job() == 0 ? json(nullptr) : json(event.job())},
-                        {"task", event.task()},
-                        {"worker", event.worker()},
-                        {"event", event.kind()},
-                        {"detail", event.detail()}});
+        list.push_back(coordinator::EventJson(event));
       } else {
         table.AddRow({std::to_string(event.id()), TimeText(event.wall_ns()),
                       event.job() == 0 ? "–" : std::to_string(event.job()), event.task(), event.worker(),
@@ -372,7 +366,7 @@ void ListWorkers(Context& context) {
     for (const auto& worker : *workers) Print(worker.name());
   } else if (context.json()) {
     json list = json::array();
-    for (const auto& worker : *workers) list.push_back(WorkerJson(worker));
+    for (const auto& worker : *workers) list.push_back(coordinator::WorkerJson(worker));
     PrintJson("realitygrad.workers/1", {{"workers", list}});
   } else {
     Print(workers->empty() ? "no workers: start one with `realitygrad worker`" : WorkersTable(*workers));

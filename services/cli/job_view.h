@@ -1,19 +1,13 @@
-// How jobs, stages and workers look: as tables, as JSON, and as progress while one waits.
+// How jobs, stages and workers look: as tables, and as progress while one waits.
 #pragma once
 
 #include <functional>
-#include <nlohmann/json_fwd.hpp>
 #include <string>
 #include <vector>
 
 #include "common/base/status.h"
+#include "coordinator/client/as_json.h"
 #include "services/cli/output.h"
-
-namespace realitygrad::v1 {
-class GetJobReply;
-class JobSummary;
-class WorkerInfo;
-}  // namespace realitygrad::v1
 
 namespace rg::coordinator {
 class Client;
@@ -23,21 +17,11 @@ namespace rg::cli {
 
 class Context;
 
-std::string JobStateText(int state);
-std::string TaskStateText(int state);
+using coordinator::JobStateText, coordinator::TaskStateText, coordinator::WhoOf;
 std::string TimeText(int64_t wall_ns);  // "–" for 0
 
-// JobSummary.submitted_by in its parts: "anna (anna@lab7)".
-struct Who {
-  std::string name, remark;
-};
-Who WhoOf(const std::string& submitted_by);
-
-nlohmann::json JobJson(const realitygrad::v1::JobSummary& job);
-nlohmann::json JobDetailsJson(const realitygrad::v1::GetJobReply& job);
 std::string JobsTable(const std::vector<realitygrad::v1::JobSummary>& jobs);
 std::string JobDetails(const realitygrad::v1::GetJobReply& job, bool with_tasks);
-nlohmann::json WorkerJson(const realitygrad::v1::WorkerInfo& worker);
 std::string WorkersTable(const std::vector<realitygrad::v1::WorkerInfo>& workers);
 
 // Waits for a job and shows its stages one after another on stderr. Returns the job's end.

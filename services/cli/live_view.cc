@@ -8,9 +8,9 @@
 #include <cstdio>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <thread>
 
 #include "common/base/clock.h"
+#include "common/base/printf.h"
 #include "common/base/utf8.h"
 #include "coordinator/client/client.h"
 #include "services/cli/job_selector.h"
@@ -48,10 +48,9 @@ std::string HeadLine(const pb::GetJobReply& reply) {
                      (job.name().empty() ? "" : " " + job.name()) + "  " + JobStateText(job.state()) + "  " +
                      std::to_string(std::lround(100 * job.progress())) + " %";
   if (job.finished_ns() == 0 && job.eta_s() >= 0) line += "  ETA " + FormatSeconds(job.eta_s());
-  const double best = BestResidual(reply);
+  const double best = coordinator::BestResidual(reply);
   if (!std::isnan(best)) {
-    char text[48];
-    std::snprintf(text, sizeof text, "  best residual %.4g", best);
+    const std::string text = Printf("  best residual %.4g", best);
     line += text;
   }
   return line;
@@ -76,8 +75,7 @@ std::vector<std::string> WorkerLines(const pb::GetJobReply& reply) {
     std::string& line = lines[task.worker()];
     line += (line.empty() ? "" : ", ") + task.name();
     if (task.progress().total() > 0) {
-      char text[64];
-      std::snprintf(text, sizeof text, " %.4g/%.4g", task.progress().done(), task.progress().total());
+      const std::string text = Printf(" %.4g/%.4g", task.progress().done(), task.progress().total());
       line += text;
     }
   }
@@ -124,25 +122,6 @@ std::string ShardBar(uint32_t total, uint32_t done, uint32_t running, uint32_t f
   bar.append(share(running), '>');
   bar.resize(cells, '.');
   return bar;
-}
-
-double BestResidual(const pb::GetJobReply& reply) {
-  std::map<std::string, int> place;
-  for (const pb::StageInfo& stage : reply.stages())
-    place.emplace(stage.name(), static_cast<int>(place.size()));
-  int newest = -1;
-  double best = std::nan("");
-  for (const pb::TaskInfo& task : reply.tasks()) {
-    const auto summary = nlohmann::json::parse(task.summary_json(), nullptr, false);
-    const auto stage = place.find(task.stage());
-    if (!summary.is_object() || !summary.contains("best_cost") || !summary["best_cost"].is_number() ||
-        stage == place.end() || stage->second < newest)
-      continue;
-    const double cost = summary["best_cost"];
-    best = stage->second > newest ? cost : std::min(best, cost);
-    newest = stage->second;
-  }
-  return best;
 }
 
 std::vector<std::string> LiveView(const pb::GetJobReply& reply, int width, int height) {

@@ -17,9 +17,6 @@ namespace rg::cli {
 // '#' done, '>' running, '!' failed, '.' to do; a cell per task where they fit into `width`, else by share.
 std::string ShardBar(uint32_t total, uint32_t done, uint32_t running, uint32_t failed, int width);
 
-// The smallest "best_cost" in the summaries of the newest stage that has one; NaN: none.
-double BestResidual(const realitygrad::v1::GetJobReply& job);
-
 // Lines of at most `width` cells, at most `height` of them.
 std::vector<std::string> LiveView(const realitygrad::v1::GetJobReply& job, int width, int height);
 

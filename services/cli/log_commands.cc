@@ -1,7 +1,6 @@
 // `job logs`: what tasks said.
 #include <CLI/CLI.hpp>
 #include <chrono>
-#include <deque>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <thread>
@@ -24,13 +23,6 @@ struct LogArguments {
   bool follow = false, previous = false;
   uint32_t tail = 0;
 };
-
-json LineJson(const pb::TaskLogLine& line) {
-  return {{"time", FormatWallTime(line.wall_ns())},
-          {"task", line.task()},
-          {"attempt", line.attempt()},
-          {"text", line.text()}};
-}
 
 std::string LineText(const pb::TaskLogLine& line) {
   return FormatWallTime(line.wall_ns()) + "  " + line.task() + "#" + std::to_string(line.attempt()) + "  " +
@@ -62,8 +54,7 @@ Result<std::vector<pb::TaskLogLine>> OfPreviousAttempts(coordinator::Client& cli
 
 void Say(const Context& context, const std::vector<pb::TaskLogLine>& lines) {
   for (const auto& line : lines)
-    Print(context.json() ? LineJson(line).dump(-1, ' ', false, json::error_handler_t::replace)
-                         : LineText(line));
+    Print(context.json() ? coordinator::Dump(coordinator::LogLineJson(line)) : LineText(line));
 }
 
 // Until the job is over; JSON Lines, as for every stream.
@@ -107,7 +98,7 @@ Status ShowLogs(Context& context, const LogArguments& arguments) {
     if (arguments.follow) return Follow(context, *client, arguments, id, std::move(lines), after);
     if (!context.json()) Say(context, lines);
     json list = json::array();
-    for (const auto& line : lines) list.push_back(LineJson(line));
+    for (const auto& line : lines) list.push_back(coordinator::LogLineJson(line));
     jobs.push_back({{"lines", std::move(list)}});
   }
   if (!context.json()) return Status::Ok();

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/clock.h"
+#include "common/base/printf.h"
 #include "coordinator/client/client.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
@@ -16,49 +17,7 @@ namespace {
 namespace pb = ::realitygrad::v1;
 using nlohmann::json;
 
-std::string Number(double value) {
-  char text[40];
-  std::snprintf(text, sizeof text, "%.6g", value);
-  return text;
-}
-
-std::string SourceText(pb::ParameterSource source) {
-  switch (source) {
-    case pb::PARAMETER_SOURCE_NOMINAL:
-      return "nominal";
-    case pb::PARAMETER_SOURCE_IDENTIFIED:
-      return "identified";
-    case pb::PARAMETER_SOURCE_IMPORTED:
-      return "imported";
-    default:
-      return "?";
-  }
-}
-
-json VersionJson(const pb::ParameterVersion& v) {
-  json out = {{"robot", v.robot()},
-              {"version", v.version()},
-              {"parent", v.parent_version() ? json(v.parent_version()) : json(nullptr)},
-              {"source", SourceText(v.source())},
-              {"recording", v.recording_sha256()},
-              {"model", v.model_sha256()},
-              {"residual_before", v.has_residual_before() ? json(v.residual_before()) : json(nullptr)},
-              {"residual_after", v.has_residual_after() ? json(v.residual_after()) : json(nullptr)},
-              {"created", FormatWallTime(v.created_ns())},
-              {"job", v.job_id()},
-              {"rollout", v.rollout()},
-              {"held_back", v.held_back()},
-              {"note", v.note()}};
-  if (v.values_size() > 0) {
-    out["values"] = json::array();
-    for (const auto& value : v.values()) {
-      out["values"].push_back({{"name", value.name()},
-                               {"value", value.value()},
-                               {"stddev", value.has_stddev() ? json(value.stddev()) : json(nullptr)}});
-    }
-  }
-  return out;
-}
+std::string Number(double value) { return Printf("%.6g", value); }
 
 struct ParameterArguments {
   std::string robot, to_robot, job;
@@ -94,17 +53,18 @@ void History(Context& context, const ParameterArguments& arguments) {
     if (context.Failed(history.status())) return nullptr;
     if (context.json()) {
       json list = json::array();
-      for (const auto& v : history->versions()) list.push_back(VersionJson(v));
+      for (const auto& v : history->versions()) list.push_back(coordinator::VersionJson(v));
       return {{"robot", robot}, {"current", history->current()}, {"versions", list}};
     }
     TextTable table({">VERSION", ">FROM", "SOURCE", ">RESIDUAL BEFORE", ">AFTER", "RECORDING", "JOB", "CREATED",
                      "ROLLOUT", "NOTE"});
     for (const auto& v : history->versions()) {
       const char* mark = v.version() == history->current() ? "*" : v.held_back() ? "-" : "";
-      table.AddRow({std::to_string(v.version()) + mark, v.parent_version() ? std::to_string(v.parent_version()) : "–", SourceText(v.source()),
-                    v.has_residual_before() ? Number(v.residual_before()) : "–",
-                    v.has_residual_after() ? Number(v.residual_after()) : "–",
-                    v.recording_sha256().substr(0, 12), v.job_id(), TimeText(v.created_ns()), v.rollout(), v.note()});
+      table.AddRow(
+          {std::to_string(v.version()) + mark, v.parent_version() ? std::to_string(v.parent_version()) : "–",
+           coordinator::SourceText(v.source()), v.has_residual_before() ? Number(v.residual_before()) : "–",
+           v.has_residual_after() ? Number(v.residual_after()) : "–", v.recording_sha256().substr(0, 12),
+           v.job_id(), TimeText(v.created_ns()), v.rollout(), v.note()});
     }
     Print(robot + " (* is current, - held back until it is promoted)\n" + table.ToString());
     return nullptr;
@@ -135,12 +95,12 @@ void Show(Context& context, const ParameterArguments& arguments) {
   WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
     const auto version = client.Parameters(robot, arguments.version);
     if (context.Failed(version.status())) return;
-    if (context.json()) return PrintJson("realitygrad.parameters/1", VersionJson(*version));
+    if (context.json()) return PrintJson("realitygrad.parameters/1", coordinator::VersionJson(*version));
     TextTable table({"PARAMETER", ">VALUE", ">STDDEV"});
     for (const auto& value : version->values()) {
       table.AddRow({value.name(), Number(value.value()), value.has_stddev() ? Number(value.stddev()) : "–"});
     }
-    Print(robot + " version " + std::to_string(version->version()) + " (" + SourceText(version->source()) +
+    Print(robot + " version " + std::to_string(version->version()) + " (" + coordinator::SourceText(version->source()) +
           ", " + TimeText(version->created_ns()) + ")\n" + table.ToString());
   });
 }

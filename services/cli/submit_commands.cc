@@ -193,7 +193,7 @@ Status Submit(Context& context, const std::string& what, Compile compile, Submit
     if (!succeeded && fetched.ok()) PrintNote("what was recorded is in " + arguments.out);
   }
   if (context.json()) {
-    PrintJson("realitygrad.job/1", JobDetailsJson(end));
+    PrintJson("realitygrad.job/1", coordinator::JobDetailsJson(end, true));
   } else {
     Print(context.quiet() ? std::to_string(id) : JobDetails(end, false));
     if (succeeded && !arguments.out.empty() && !context.quiet())

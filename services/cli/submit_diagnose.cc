@@ -85,7 +85,7 @@ Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
   RG_ASSIGN_OR_RETURN(const pb::GetJobReply whole, client->GetJob(id, true, false));
   if (!arguments.out.empty()) RG_RETURN_IF_ERROR(Fetch(*client, whole, arguments.out));
   if (context.json()) {
-    PrintJson("realitygrad.job/1", JobDetailsJson(whole));
+    PrintJson("realitygrad.job/1", coordinator::JobDetailsJson(whole, true));
   } else {
     Print(context.quiet() || !arguments.out.empty() ? arguments.out : JobDetails(whole, false));
   }

@@ -111,9 +111,21 @@
         if (error) { return replace(list, el('p.note.bad', null, error)); }
         replace(list, value.diagnoses.length ? value.diagnoses.map(diagnosisPanel).reduce(function (f, n) { f.append(n); return f; }, document.createDocumentFragment()) :
           el('p.soft', null, 'None yet: realitygrad submit diagnose, or submit iteration --diagnose.'));
-        replace(reports, value.reports.length ? page.table([{ name: 'Report' }, { name: 'Job' }, { name: 'Created' }, { name: 'Size', num: true }], value.reports.map(function (r) {
-          return { cells: [el('a', { href: '#/report/' + r.sha256 }, r.sha256.slice(0, 12)), r.job ? el('a', { href: '#/job/' + r.job }, r.job) : '', page.moment(r.created), page.bytes(r.size)] };
-        })) : el('p.soft', null, 'None yet.'));
+        replace(
+            reports,
+            value.reports.length ?
+                page.table(
+                    [{name: 'Report'}, {name: 'Job'}, {name: 'Created'}, {name: 'Size', num: true}],
+                    value.reports.map(function(r) {
+                      return {
+                        cells: [
+                          el('a', {href: '#/report/' + r.sha256}, r.sha256.slice(0, 12)),
+                          r.job ? el('a', {href: '#/job/' + r.job}, r.job) : '', page.moment(r.created),
+                          page.bytes(r.size_bytes)
+                        ]
+                      };
+                    })) :
+                el('p.soft', null, 'None yet.'));
       }, 3000);
     }
   });
@@ -134,9 +146,23 @@
       replace(root, el('h1', null, 'Artefacts'), el('div.tools', null, kind), list);
       refresh = page.live(function () { return '/api/artifacts?kind=' + encodeURIComponent(kind.value.trim()); }, function (value, error) {
         if (error) { return replace(list, el('p.note.bad', null, error)); }
-        replace(list, value.artifacts.length ? page.table([{ name: 'Artefact' }, { name: 'Kind' }, { name: 'Size', num: true }, { name: 'Job' }, { name: 'Created' }], value.artifacts.map(function (a) {
-          return { cells: [page.artifact(a.sha256), a.kind, page.bytes(a.size), a.job ? el('a', { href: '#/job/' + a.job }, a.job) : '', page.moment(a.created)] };
-        })) : el('p.soft', null, 'None.'));
+        replace(
+            list,
+            value.artifacts.length ?
+                page.table(
+                    [
+                      {name: 'Artefact'}, {name: 'Kind'}, {name: 'Size', num: true}, {name: 'Job'},
+                      {name: 'Created'}
+                    ],
+                    value.artifacts.map(function(a) {
+                      return {
+                        cells: [
+                          page.artifact(a.sha256), a.kind, page.bytes(a.size_bytes),
+                          a.job ? el('a', {href: '#/job/' + a.job}, a.job) : '', page.moment(a.created)
+                        ]
+                      };
+                    })) :
+                el('p.soft', null, 'None.'));
       }, 3000);
     }
   });
@@ -190,14 +216,21 @@
       page.live(function () { return '/api/artifact?sha256=' + encodeURIComponent(sha); }, function (value, error) {
         if (error) { return replace(root, el('p.note.bad', null, error)); }
         var a = value.artifact;
-        replace(root, el('h1', null, a.kind + ' ' + a.sha256.slice(0, 12)),
-          el('p', null, page.bytes(a.size) + ', made ' + page.moment(a.created), a.job ? [' by ', el('a', { href: '#/job/' + a.job }, 'job ' + a.job)] : null,
-            a.pins.length ? ', kept by ' + a.pins.join(', ') : null),
-          el('p', null, el('code', null, a.sha256)),
-          el('p', null, a.kind === 'report' ? [el('a', { href: '#/report/' + a.sha256 }, 'read it'), ' · '] : null, el('a', { href: '/artifact/' + a.sha256, target: '_blank', rel: 'noopener' }, 'its bytes')),
-          el('h2', null, 'Lineage: made from what is to the left, used by what is to the right' + (value.cut ? ' (cut: there is more)' : '')), lineageDrawing(value),
-          Object.keys(a.metadata || {}).length ? el('h2', null, 'Metadata') : null,
-          Object.keys(a.metadata || {}).length ? el('pre', null, JSON.stringify(a.metadata, null, 1)) : null);
+        replace(
+            root, el('h1', null, a.kind + ' ' + a.sha256.slice(0, 12)),
+            el('p', null, page.bytes(a.size_bytes) + ', made ' + page.moment(a.created),
+               a.job ? [' by ', el('a', {href: '#/job/' + a.job}, 'job ' + a.job)] : null,
+               a.pins.length ? ', kept by ' + a.pins.join(', ') : null),
+            el('p', null, el('code', null, a.sha256)),
+            el('p', null,
+               a.kind === 'report' ? [el('a', {href: '#/report/' + a.sha256}, 'read it'), ' · '] : null,
+               el('a', {href: '/artifact/' + a.sha256, target: '_blank', rel: 'noopener'}, 'its bytes')),
+            el('h2', null,
+               'Lineage: made from what is to the left, used by what is to the right' +
+                   (value.cut ? ' (cut: there is more)' : '')),
+            lineageDrawing(value), Object.keys(a.metadata || {}).length ? el('h2', null, 'Metadata') : null,
+            Object.keys(a.metadata || {}).length ? el('pre', null, JSON.stringify(a.metadata, null, 1)) :
+                                                   null);
       }, 5000);
     }
   });

@@ -72,7 +72,5 @@ TEST(LiveView, FitsTheTerminal) {
   for (const std::string& line : lines) EXPECT_LE(DisplayWidth(line), 50) << line;
 }
 
-TEST(BestResidual, OfAJobWithoutOneIsNone) { EXPECT_TRUE(std::isnan(BestResidual(pb::GetJobReply()))); }
-
 }  // namespace
 }  // namespace rg::cli

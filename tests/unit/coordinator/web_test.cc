@@ -1,8 +1,10 @@
 // The page's pure parts: who is let in, what is told.
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "coordinator/client/as_json.h"
 #include "coordinator/web/feed_json.h"
 #include "coordinator/web/gate.h"
 #include "coordinator/web/metrics.h"
@@ -99,7 +101,7 @@ TEST(Demand, LeavesOutRobotsAndTags) {
 
 TEST(BestResidual, IsTheSmallestOfTheNewestStageThatHasOne) {
   pb::GetJobReply reply;
-  EXPECT_TRUE(BestResidual(reply).is_null());
+  EXPECT_TRUE(std::isnan(BestResidual(reply)));
   for (const char* stage : {"round 1", "round 2", "conclusion"}) reply.add_stages()->set_name(stage);
   const auto say = [&](const char* stage, const char* summary) {
     auto* task = reply.add_tasks();
