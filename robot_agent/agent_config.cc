@@ -1,11 +1,10 @@
 #include "robot_agent/agent_config.h"
 
-#include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
-#include <set>
 
 #include "common/base/file.h"
+#include "common/base/json_fields.h"
 #include "common/model/urdf_loader.h"
 #include "robot_agent/drivers/kinova/make_kinova_driver.h"
 #include "robot_agent/safety/own_arm.h"
@@ -27,45 +26,39 @@ std::vector<std::string> JointNames(const model::RobotModel& model) {
   return names;
 }
 
-Status CheckKeys(const json& object, const std::set<std::string>& known, const std::string& where) {
-  for (const auto& [key, value] : object.items())
-    if (!known.contains(key)) return InvalidError(where + "unknown field \"" + key + "\"");
-  return Status::Ok();
-}
-
 Status ReadSimulated(const json& object, const std::string& folder, SimulatedDriverOptions* options) {
-  RG_RETURN_IF_ERROR(
-      CheckKeys(object, {"truth", "lock_step", "socket", "program", "reply_timeout_s"}, "simulated: "));
-  options->truth_path = Resolve(folder, object.value("truth", ""));
-  options->socket_path = object.value("socket", "");
-  options->program = object.value("program", "");
-  options->lock_step = object.value("lock_step", false);
-  options->reply_timeout_s = object.value("reply_timeout_s", options->reply_timeout_s);
+  JsonFields fields(object, "truth lock_step socket program reply_timeout_s", "simulated: ");
+  fields.Read("truth", &options->truth_path);
+  fields.Read("socket", &options->socket_path);
+  fields.Read("program", &options->program);
+  fields.Read("lock_step", &options->lock_step);
+  fields.Read("reply_timeout_s", &options->reply_timeout_s);
+  options->truth_path = Resolve(folder, options->truth_path);
   if (options->truth_path.empty() && options->socket_path.empty())
-    return InvalidError("simulated: needs \"truth\" or \"socket\"");
-  return Status::Ok();
+    fields.Fail("needs \"truth\" or \"socket\"");
+  return fields.status();
 }
 
 Status ReadReplay(const json& object, const std::string& folder, ReplayOptions* options) {
-  RG_RETURN_IF_ERROR(CheckKeys(object, {"set", "recording", "lock_step"}, "replay: "));
-  options->folder = Resolve(folder, object.at("set").get<std::string>());
-  options->recording = object.value("recording", "");
-  options->lock_step = object.value("lock_step", false);
-  return Status::Ok();
+  JsonFields fields(object, "set recording lock_step", "replay: ");
+  fields.Require("set", &options->folder);
+  fields.Read("recording", &options->recording);
+  fields.Read("lock_step", &options->lock_step);
+  options->folder = Resolve(folder, options->folder);
+  return fields.status();
 }
 
-Status ReadArm(const json& root, const std::string& folder, AgentConfig* config) {
-  if (!root.contains("urdf"))
-    return InvalidError(
-        "\"urdf\" is missing: the arm's own kinematics and gravity, which no job's model replaces");
+Status ReadArm(JsonFields& fields, const std::string& folder, AgentConfig* config) {
+  std::string urdf;
+  fields.Require("urdf", &urdf, "the arm's own kinematics and gravity, which no job's model replaces");
   model::LoadOptions options;
-  options.joints = root.value("joints", options.joints);
-  options.locked = root.value("locked", options.locked);
-  options.end_effector = root.value("end_effector", options.end_effector);
-  config->gravity = root.value("gravity", config->gravity);
-  if (config->gravity.size() != 3) return InvalidError("gravity needs three numbers");
-  RG_ASSIGN_OR_RETURN(auto arm,
-                      model::LoadUrdf(Resolve(folder, root.at("urdf").get<std::string>()), options));
+  fields.Read("joints", &options.joints);
+  fields.Read("locked", &options.locked);
+  fields.Read("end_effector", &options.end_effector);
+  fields.Read("gravity", &config->gravity);
+  if (config->gravity.size() != 3) fields.Fail("gravity needs three numbers");
+  RG_RETURN_IF_ERROR(fields.status());
+  RG_ASSIGN_OR_RETURN(auto arm, model::LoadUrdf(Resolve(folder, urdf), options));
   if (arm.num_joints() > kMaxJoints)
     return InvalidError("urdf: " + std::to_string(arm.num_joints()) + " joints, at most " +
                         std::to_string(kMaxJoints));
@@ -73,16 +66,11 @@ Status ReadArm(const json& root, const std::string& folder, AgentConfig* config)
   return Status::Ok();
 }
 
-Status CheckPositive(const char* field, double value) {
-  if (std::isfinite(value) && value > 0.0) return Status::Ok();
-  return InvalidError(std::string(field) + " is " + std::to_string(value) + ", needs a positive number");
-}
-
-Result<Eigen::Vector3d> ReadPoint(const json& object, const char* field, const std::string& name) {
-  const auto point = object.at(field).get<std::vector<double>>();
-  if (point.size() != 3 || !std::isfinite(point[0] + point[1] + point[2]))
-    return InvalidError("capsules: " + name + ": " + field + " needs three finite numbers");
-  return Eigen::Vector3d(point[0], point[1], point[2]);
+void ReadPoint(JsonFields& fields, const char* field, Eigen::Vector3d* point) {
+  std::vector<double> read;
+  fields.Require(field, &read);
+  if (read.size() != 3) return fields.Fail(std::string(field) + " needs three numbers");
+  *point = Eigen::Map<const Eigen::Vector3d>(read.data());
 }
 
 Result<int> FindPart(const CapsuleSet& parts, const std::string& name) {
@@ -95,14 +83,14 @@ Status ReadParts(const json& root, AgentConfig* config) {
   if (root.contains("capsules") != root.contains("apart"))
     return InvalidError("\"capsules\" and \"apart\" go together");
   for (const json& object : root.value("capsules", json::array())) {
-    RG_RETURN_IF_ERROR(CheckKeys(object, {"name", "link", "from", "to", "radius"}, "capsules: "));
     Capsule part;
-    object.at("name").get_to(part.name);
-    object.at("link").get_to(part.link);
-    object.at("radius").get_to(part.radius);
-    RG_ASSIGN_OR_RETURN(part.from, ReadPoint(object, "from", part.name));
-    RG_ASSIGN_OR_RETURN(part.to, ReadPoint(object, "to", part.name));
-    RG_RETURN_IF_ERROR(CheckPositive(("capsules: " + part.name + ": radius").c_str(), part.radius));
+    JsonFields fields(object, "name link from to radius", "capsules: " + object.value("name", "") + ": ");
+    fields.Require("name", &part.name);
+    fields.Require("link", &part.link);
+    ReadPoint(fields, "from", &part.from);
+    ReadPoint(fields, "to", &part.to);
+    fields.Positive("radius", &part.radius);
+    RG_RETURN_IF_ERROR(fields.status());
     if (!config->arm->FindFrame(part.link))
       return InvalidError("capsules: " + part.name + ": the URDF has no link \"" + part.link + "\"");
     if (FindPart(config->parts, part.name).ok())
@@ -120,11 +108,6 @@ Status ReadParts(const json& root, AgentConfig* config) {
 }
 
 Status ReadFence(const json& root, AgentConfig* config) {
-  RG_RETURN_IF_ERROR(CheckPositive("max_rate_hz", config->max_rate_hz));
-  RG_RETURN_IF_ERROR(CheckPositive("max_duration_s", config->max_duration_s));
-  RG_RETURN_IF_ERROR(CheckPositive("min_free_mb", config->min_free_mb));
-  RG_RETURN_IF_ERROR(CheckPositive("pose_tolerance", config->pose_tolerance));
-  RG_RETURN_IF_ERROR(CheckPositive("pose_timeout_s", config->pose_timeout_s));
   if (!root.contains("limits"))
     return InvalidError("\"limits\" is missing: the boxes that the arm has to stay in");
   RG_ASSIGN_OR_RETURN(config->limits, ParseLimits(root["limits"].dump(), "limits"));
@@ -146,73 +129,45 @@ Status ReadFirstRollouts(const json& root, AgentConfig* config) {
     first = {};
     return Status::Ok();
   }
-  const json& object = root["first_rollouts"];
-  RG_RETURN_IF_ERROR(CheckKeys(object, {"duration_s", "speed"}, "first_rollouts: "));
-  object.at("duration_s").get_to(first.duration_s);
-  object.at("speed").get_to(first.speed);
-  RG_RETURN_IF_ERROR(CheckPositive("first_rollouts: duration_s", first.duration_s));
-  RG_RETURN_IF_ERROR(CheckPositive("first_rollouts: speed", first.speed));
-  if (first.speed <= 1.0) return Status::Ok();
-  return InvalidError("first_rollouts: speed is " + std::to_string(first.speed) + ", needs at most 1");
+  JsonFields fields(root["first_rollouts"], "duration_s speed", "first_rollouts: ");
+  fields.Require("duration_s", &first.duration_s);
+  fields.Require("speed", &first.speed);
+  fields.Positive("duration_s", &first.duration_s);
+  fields.Positive("speed", &first.speed, 1);
+  return fields.status();
 }
 
 Result<AgentConfig> Read(const json& root, const std::string& folder) {
   const std::string driver = root.value("driver", "simulated");
   const bool own = FindDriver(driver) != nullptr;
-  RG_RETURN_IF_ERROR(CheckKeys(root,
-                               {own ? driver : "format",
-                                "format",
-                                "name",
-                                "driver",
-                                "simulated",
-                                "kinova",
-                                "replay",
-                                "start_pose",
-                                "pose_tolerance",
-                                "pose_timeout_s",
-                                "settle_s",
-                                "connect_timeout_s",
-                                "start_attempts",
-                                "limits",
-                                "velocity_source",
-                                "excitation",
-                                "urdf",
-                                "joints",
-                                "locked",
-                                "end_effector",
-                                "gravity",
-                                "max_rate_hz",
-                                "max_duration_s",
-                                "min_free_mb",
-                                "first_rollouts",
-                                "capsules",
-                                "apart"},
-                               ""));
-  if (root.at("format") != "realitygrad.agent/1")
-    return InvalidError("format is " + root.at("format").dump() + ", needs realitygrad.agent/1");
+  JsonFields fields(
+      root,
+      "format name driver simulated kinova replay start_pose pose_tolerance pose_timeout_s settle_s "
+      "connect_timeout_s start_attempts limits velocity_source excitation urdf joints locked "
+      "end_effector gravity max_rate_hz max_duration_s min_free_mb first_rollouts capsules apart" +
+          (own ? " " + driver : ""));
+  fields.Format("realitygrad.agent/1");
   AgentConfig config;
-  root.at("name").get_to(config.name);
-  root.at("start_pose").get_to(config.start_pose);
   config.driver = driver;
-  config.pose_tolerance = root.value("pose_tolerance", config.pose_tolerance);
-  config.pose_timeout_s = root.value("pose_timeout_s", config.pose_timeout_s);
-  config.settle_s = root.value("settle_s", config.settle_s);
-  config.connect_timeout_s = root.value("connect_timeout_s", config.connect_timeout_s);
-  config.start_attempts = root.value("start_attempts", config.start_attempts);
-  if (config.start_attempts < 1 || config.start_attempts > 10)
-    return InvalidError("start_attempts is " + std::to_string(config.start_attempts) + ", needs 1 to 10");
-  config.max_rate_hz = root.value("max_rate_hz", config.max_rate_hz);
-  config.max_duration_s = root.value("max_duration_s", config.max_duration_s);
-  config.min_free_mb = root.value("min_free_mb", config.min_free_mb);
-  const std::string source = root.value("velocity_source", "measured");
+  std::string source = "measured";
+  fields.Require("name", &config.name);
+  fields.Require("start_pose", &config.start_pose);
+  fields.Positive("pose_tolerance", &config.pose_tolerance);
+  fields.Positive("pose_timeout_s", &config.pose_timeout_s);
+  fields.Read("settle_s", &config.settle_s);
+  fields.Read("connect_timeout_s", &config.connect_timeout_s);
+  fields.Number("start_attempts", 1, 10, &config.start_attempts);
+  fields.Positive("max_rate_hz", &config.max_rate_hz);
+  fields.Positive("max_duration_s", &config.max_duration_s);
+  fields.Positive("min_free_mb", &config.min_free_mb);
+  fields.Number("excitation", 0, 1, &config.excitation);
+  fields.Read("velocity_source", &source);
   if (source != "measured" && source != "differenced")
-    return InvalidError("velocity_source is \"" + source + "\", needs measured or differenced");
+    fields.Fail("velocity_source is \"" + source + "\", needs measured or differenced");
+  RG_RETURN_IF_ERROR(fields.status());
   config.velocity_source = source == "measured" ? VelocitySource::kMeasured : VelocitySource::kDifferenced;
-  config.excitation = root.value("excitation", 0.0);
-  if (!(config.excitation >= 0.0 && config.excitation <= 1.0))
-    return InvalidError("excitation is " + std::to_string(config.excitation) + ", needs 0 to 1");
   RG_RETURN_IF_ERROR(ReadFirstRollouts(root, &config));
-  RG_RETURN_IF_ERROR(ReadArm(root, folder, &config));  // whatever the driver is
+  RG_RETURN_IF_ERROR(ReadArm(fields, folder, &config));  // whatever the driver is
   RG_RETURN_IF_ERROR(ReadFence(root, &config));
   if (config.driver == "kinova") {
     RG_RETURN_IF_ERROR(kinova::CheckKinovaIsBuilt());

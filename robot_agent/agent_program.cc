@@ -10,7 +10,8 @@
 #include "common/transport/keys.h"
 #include "coordinator/client/client.h"
 #include "robot_agent/agent_commands.h"
-#include "robot_agent/rollout_task.h"
+#include "robot_agent/rollout/rollout_task.h"
+#include "robot_agent/rollout/rollout_task_kind.h"
 #include "robot_agent/spool.h"
 #include "robot_agent/spool_delivery.h"
 #include "robot_agent/supervisor.h"
@@ -169,9 +170,9 @@ void EmptySpool(const AgentSettings& settings, double least_age_s) {
   if (!delivered.ok()) spdlog::warn("spool {}: {}", settings.spool_folder, delivered.status().ToString());
 }
 
-int RunWorker(const AgentSettings& settings, const KindRegistrar& register_kinds) {
+int RunWorker(const AgentSettings& settings) {
   worker::TaskRegistry registry;
-  register_kinds(settings.config, settings.spool_folder, &registry);
+  RegisterRolloutKind(settings.config, settings.spool_folder, &registry);
   std::vector<std::string> words = settings.worker_arguments;
   if (!settings.is_executor) words.insert(words.end(), {"--robot", settings.config.name});
   std::vector<char*> argv;
@@ -216,7 +217,7 @@ Result<AgentSettings> ReadAgentSettings(const std::vector<std::string>& argument
   return settings;
 }
 
-int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds) {
+int AgentProgramMain(int argc, char** argv) {
   const std::vector<std::string> arguments(argv, argv + argc);
   if (const auto code = RunAgentCommand(arguments)) return *code;
   for (const auto& word : arguments) {
@@ -229,7 +230,7 @@ int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds)
     std::cerr << settings.status().message() << "\n";
     return 2;
   }
-  if (settings->is_executor) return RunWorker(*settings, register_kinds);
+  if (settings->is_executor) return RunWorker(*settings);
   TellExecutors(*settings);
   InitLogging("realitygrad-agent");
   const bool simulated = settings->config.arm_ends_with_driver();
@@ -241,7 +242,7 @@ int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds)
   options.arm_ends_with_driver = simulated;
   options.dry_run = settings->dry_run;
   return Supervise(
-      options, [&] { return RunWorker(*settings, register_kinds); },
+      options, [&] { return RunWorker(*settings); },
       [&](double least_age_s) { EmptySpool(*settings, least_age_s); });
 }
 

@@ -1,8 +1,5 @@
-// The program realitygrad-agent: a worker with one slot beside one robot.
-//
-//   int main(int argc, char** argv) {
-//     return rg::robot_agent::AgentProgramMain(argc, argv, rg::jobs::RegisterAgentKinds);
-//   }
+// The program realitygrad-agent: a worker with one slot beside one robot, and the kind `rollout`
+// (rollout/rollout_task_kind.h).
 //
 // Own flags; everything else goes to worker::AgentMain:
 //   --config FILE   realitygrad.agent/1 (deploy/robots/mico2_agent.json)
@@ -18,7 +15,6 @@
 // twice.
 #pragma once
 
-#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -26,16 +22,9 @@
 #include "common/base/status.h"
 #include "robot_agent/agent_config.h"
 
-namespace rg::worker {
-class TaskRegistry;
-}
-
 namespace rg::robot_agent {
 
-using KindRegistrar =
-    std::function<void(const AgentConfig& config, const std::string& spool_folder, worker::TaskRegistry*)>;
-
-int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds);
+int AgentProgramMain(int argc, char** argv);
 
 // What the flags and, in an executor child, the environment say.
 struct AgentSettings {

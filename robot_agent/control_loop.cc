@@ -1,6 +1,5 @@
 #include "robot_agent/control_loop.h"
 
-#include <algorithm>
 #include <cmath>
 #include <optional>
 

@@ -3,7 +3,6 @@
 #include <signal.h>
 
 #include <CLI/CLI.hpp>
-#include <cstdio>
 
 #include "common/base/log.h"
 #include "robot_agent/agent_config.h"

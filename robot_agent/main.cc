@@ -1,7 +1,4 @@
 // realitygrad-agent: runs rollouts on the robot beside it.
 #include "robot_agent/agent_program.h"
-#include "services/jobs/rollout_task_kind.h"
 
-int main(int argc, char** argv) {
-  return rg::robot_agent::AgentProgramMain(argc, argv, rg::jobs::RegisterAgentKinds);
-}
+int main(int argc, char** argv) { return rg::robot_agent::AgentProgramMain(argc, argv); }

@@ -8,7 +8,6 @@
 #include <algorithm>
 #include <cerrno>
 #include <chrono>
-#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
@@ -16,6 +15,7 @@
 
 #include "common/base/file.h"
 #include "common/base/log.h"
+#include "common/base/printf.h"
 
 namespace rg::robot_agent {
 namespace {
@@ -198,9 +198,8 @@ Status Spool::CheckRoom(double megabytes) const {
     return UnavailableError("cannot look at the disk of " + folder_ + ": " + std::strerror(errno));
   const double free = 1e-6 * static_cast<double>(disk.f_bavail) * static_cast<double>(disk.f_frsize);
   if (free >= megabytes) return Status::Ok();
-  char text[160];
-  std::snprintf(text, sizeof text, ": %.0f MB are free, a rollout needs %.0f MB; %zu recordings wait here",
-                free, megabytes, Ready().size());
+  const std::string text = Printf(": %.0f MB are free, a rollout needs %.0f MB; %zu recordings wait here",
+                                  free, megabytes, Ready().size());
   return ResourceExhaustedError("the disk of the spool " + folder_ + text +
                                 " for the coordinator: let it take them, or make room");
 }

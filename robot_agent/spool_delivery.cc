@@ -3,7 +3,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/log.h"
-#include "robot_agent/rollout_bundle.h"
+#include "robot_agent/rollout/rollout_bundle.h"
 #include "robot_agent/spool.h"
 
 namespace rg::robot_agent {

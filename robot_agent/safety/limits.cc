@@ -3,18 +3,16 @@
 #include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
-#include <set>
+
+#include "common/base/json_fields.h"
+#include "common/base/printf.h"
 
 namespace rg::robot_agent {
 namespace {
 
 using nlohmann::json;
 
-std::string Num(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.6g", value);
-  return text;
-}
+std::string Num(double value) { return Printf("%.6g", value); }
 
 Status CheckSize(const char* field, const std::vector<double>& values, size_t n) {
   if (values.size() == n) return Status::Ok();
@@ -73,67 +71,34 @@ Status ReadTaskBox(const json& value, TaskBox* box) {
   return Status::Ok();
 }
 
-struct RequiredField {
-  const char* name;
-  const char* what;
-};
-constexpr RequiredField kRequired[] = {
-    {"lower", "the lowest position of each joint, rad (m)"},
-    {"upper", "the highest position of each joint, rad (m)"},
-    {"velocity", "the largest speed of each joint, rad/s (m/s)"},
-    {"torque", "the largest torque of each joint, N·m (N)"},
-    {"torque_rate", "how fast the torque of each joint may change, N·m/s (N/s)"},
-    {"task_box",
-     "where the end effector may be, {\"lower\": [3], \"upper\": [3]} in m, or null for anywhere"}};
-
-Status CheckAllThere(const json& root) {
-  if (!root.is_object()) return InvalidError("must be an object");
-  for (const auto& field : kRequired)
-    if (!root.contains(field.name))
-      return InvalidError("\"" + std::string(field.name) + "\" is missing: " + field.what);
-  return Status::Ok();
-}
-
 Status ReadFields(const json& root, SafetyLimits* limits) {
-  RG_RETURN_IF_ERROR(CheckAllThere(root));
-  for (const auto& [key, value] : root.items()) {
-    if (key == "lower") {
-      value.get_to(limits->lower);
-    } else if (key == "upper") {
-      value.get_to(limits->upper);
-    } else if (key == "velocity") {
-      value.get_to(limits->velocity);
-    } else if (key == "torque") {
-      value.get_to(limits->torque);
-    } else if (key == "torque_rate") {
-      value.get_to(limits->torque_rate);
-    } else if (key == "velocity_window_s") {
-      value.get_to(limits->velocity_window_s);
-    } else if (key == "freeze_s") {
-      value.get_to(limits->freeze_s);
-    } else if (key == "freeze_start_s") {
-      value.get_to(limits->freeze_start_s);
-    } else if (key == "task_box") {
-      RG_RETURN_IF_ERROR(ReadTaskBox(value, &limits->task));
-    } else if (key == "torque_trip_ratio") {
-      value.get_to(limits->torque_trip_ratio);
-    } else if (key == "stale_s") {
-      value.get_to(limits->stale_s);
-    } else if (key == "jump_ratio") {
-      value.get_to(limits->jump_ratio);
-    } else if (key == "jump_tolerance") {
-      value.get_to(limits->jump_tolerance);
-    } else if (key == "max_consecutive_missed") {
-      value.get_to(limits->max_consecutive_missed);
-    } else if (key == "max_missed_share") {
-      value.get_to(limits->max_missed_share);
-    } else if (key == "zero_torque_s") {
-      value.get_to(limits->zero_torque_s);
-    } else {
-      return InvalidError("unknown field \"" + key + "\"");
-    }
-  }
-  return Status::Ok();
+  JsonFields fields(
+      root,
+      "lower upper velocity torque torque_rate velocity_window_s freeze_s freeze_start_s task_box "
+      "torque_trip_ratio stale_s jump_ratio jump_tolerance max_consecutive_missed max_missed_share "
+      "zero_torque_s");
+  fields.Require("lower", &limits->lower, "the lowest position of each joint, rad (m)");
+  fields.Require("upper", &limits->upper, "the highest position of each joint, rad (m)");
+  fields.Require("velocity", &limits->velocity, "the largest speed of each joint, rad/s (m/s)");
+  fields.Require("torque", &limits->torque, "the largest torque of each joint, N·m (N)");
+  fields.Require("torque_rate", &limits->torque_rate,
+                 "how fast the torque of each joint may change, N·m/s (N/s)");
+  json box;
+  fields.Require(
+      "task_box", &box,
+      "where the end effector may be, {\"lower\": [3], \"upper\": [3]} in m, or null for anywhere");
+  fields.Read("velocity_window_s", &limits->velocity_window_s);
+  fields.Read("freeze_s", &limits->freeze_s);
+  fields.Read("freeze_start_s", &limits->freeze_start_s);
+  fields.Read("torque_trip_ratio", &limits->torque_trip_ratio);
+  fields.Read("stale_s", &limits->stale_s);
+  fields.Read("jump_ratio", &limits->jump_ratio);
+  fields.Read("jump_tolerance", &limits->jump_tolerance);
+  fields.Read("max_consecutive_missed", &limits->max_consecutive_missed);
+  fields.Read("max_missed_share", &limits->max_missed_share);
+  fields.Read("zero_torque_s", &limits->zero_torque_s);
+  RG_RETURN_IF_ERROR(fields.status());
+  return ReadTaskBox(box, &limits->task);
 }
 
 }  // namespace

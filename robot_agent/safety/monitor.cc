@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include "common/base/printf.h"
+
 namespace rg::robot_agent {
 namespace {
 
@@ -291,64 +293,45 @@ Action SafetyMonitor::AfterTrip(const Observation& seen) {
 }
 
 std::string DescribeTrip(const Trip& trip, const std::vector<std::string>& joints) {
-  char text[200];
   const std::string joint =
       trip.joint >= 0 && trip.joint < static_cast<int>(joints.size()) ? joints[trip.joint] : "";
   switch (trip.reason) {
     case EndReason::kPositionLimit:
-      std::snprintf(text, sizeof text, "%s: position %.5g outside its limit %.5g", joint.c_str(), trip.value,
-                    trip.limit);
-      return text;
+      return Printf("%s: position %.5g outside its limit %.5g", joint.c_str(), trip.value, trip.limit);
     case EndReason::kVelocityLimit:
-      std::snprintf(text, sizeof text, "%s: velocity %.5g beyond its limit %.5g", joint.c_str(), trip.value,
-                    trip.limit);
-      return text;
+      return Printf("%s: velocity %.5g beyond its limit %.5g", joint.c_str(), trip.value, trip.limit);
     case EndReason::kTorqueLimit:
-      std::snprintf(text, sizeof text, "%s: commanded %.5g beyond %.5g", joint.c_str(), trip.value,
-                    trip.limit);
-      return text;
+      return Printf("%s: commanded %.5g beyond %.5g", joint.c_str(), trip.value, trip.limit);
     case EndReason::kTaskSpaceLimit:
-      std::snprintf(text, sizeof text, "end effector %c = %.4g m outside its limit %.4g m",
-                    "xyz"[std::clamp(trip.joint, 0, 2)], trip.value, trip.limit);
-      return text;
+      return Printf("end effector %c = %.4g m outside its limit %.4g m", "xyz"[std::clamp(trip.joint, 0, 2)],
+                    trip.value, trip.limit);
     case EndReason::kControllerNan:
       return joint + ": the controller's command is not a finite number";
     case EndReason::kRobotNan:
       return joint + ": the measured state is not a finite number";
     case EndReason::kStaleState:
       if (trip.limit <= 0) return "no state was received";
-      std::snprintf(text, sizeof text, "newest state is %.3g s old, limit %.3g s", trip.value, trip.limit);
-      return text;
+      return Printf("newest state is %.3g s old, limit %.3g s", trip.value, trip.limit);
     case EndReason::kImpossibleState:
       if (joint.empty()) return "the state's time stamp goes back or lies in the future";
-      std::snprintf(text, sizeof text, "%s: moved %.4g between two states, at most %.4g is possible",
-                    joint.c_str(), trip.value, trip.limit);
-      return text;
+      return Printf("%s: moved %.4g between two states, at most %.4g is possible", joint.c_str(), trip.value,
+                    trip.limit);
     case EndReason::kMissedDeadlines:
       if (trip.value < 1.0)
-        std::snprintf(text, sizeof text, "%.0f %% of the deadlines missed, limit %.0f %%", 100 * trip.value,
-                      100 * trip.limit);
-      else
-        std::snprintf(text, sizeof text, "%.0f deadlines missed in a row, limit %.0f", trip.value,
-                      trip.limit);
-      return text;
+        return Printf("%.0f %% of the deadlines missed, limit %.0f %%", 100 * trip.value, 100 * trip.limit);
+      return Printf("%.0f deadlines missed in a row, limit %.0f", trip.value, trip.limit);
     case EndReason::kSelfCollision:
-      std::snprintf(text, sizeof text,
-                    "parts of the arm that have to stay apart (pair %d) are %.4g m apart, limit %.4g m",
+      return Printf("parts of the arm that have to stay apart (pair %d) are %.4g m apart, limit %.4g m",
                     trip.joint + 1, trip.value, trip.limit);
-      return text;
     case EndReason::kControllerHung:
-      std::snprintf(text, sizeof text, "no command came for %.3g s, limit %.3g s", trip.value, trip.limit);
-      return text;
+      return Printf("no command came for %.3g s, limit %.3g s", trip.value, trip.limit);
     case EndReason::kModeLost:
       return "the arm left its mode by itself";
     case EndReason::kFrozenState:
-      std::snprintf(
-          text, sizeof text,
+      return Printf(
           "positions stood still for %.3g s while their stamps advanced and the arm should have moved, "
           "limit %.3g s",
           trip.value, trip.limit);
-      return text;
     default:
       return "";
   }

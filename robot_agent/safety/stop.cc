@@ -4,7 +4,8 @@
 #include <array>
 #include <chrono>
 #include <cmath>
-#include <cstdio>
+
+#include "common/base/printf.h"
 
 namespace rg::robot_agent {
 namespace {
@@ -106,9 +107,8 @@ bool SeenAtRest(Driver& driver, const StopOptions& options, StopReport* report) 
       if (good && !resting) rest_since = state.stamp_ns;
       resting = good;
       if (resting && state.stamp_ns - rest_since >= Nanos(options.at_rest_s)) return true;
-      char text[120];
-      std::snprintf(text, sizeof text, "the arm moves at %.3g rad/s, limit %.3g", report->worst_speed,
-                    options.at_rest);
+      const std::string text =
+          Printf("the arm moves at %.3g rad/s, limit %.3g", report->worst_speed, options.at_rest);
       if (state.mode != Mode::kPosition)
         report->why = "the arm stays in torque mode";
       else if (report->worst_speed < 0.0)

@@ -1,12 +1,12 @@
 #include "robot_agent/simulated_robot/truth.h"
 
-#include <cmath>
 #include <filesystem>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <optional>
-#include <set>
 
 #include "common/base/file.h"
+#include "common/base/json_fields.h"
 #include "common/model/urdf_loader.h"
 #include "common/sim/model_file.h"
 
@@ -15,39 +15,24 @@ namespace {
 
 using nlohmann::json;
 
-Status CheckKeys(const json& object, const std::set<std::string>& known, const std::string& where) {
-  for (const auto& [key, value] : object.items())
-    if (!known.contains(key)) return InvalidError(where + "unknown field \"" + key + "\"");
-  return Status::Ok();
-}
+constexpr double kAny = std::numeric_limits<double>::infinity();
 
-Result<Eigen::VectorXd> ReadVector(const json& object, const char* field, int n, double lowest) {
-  const auto values = object.at(field).get<std::vector<double>>();
-  if (static_cast<int>(values.size()) != n)
-    return InvalidError(std::string(field) + " has " + std::to_string(values.size()) + " entries for " +
-                        std::to_string(n) + " joints");
-  for (const double value : values)
-    if (!std::isfinite(value) || value < lowest)
-      return InvalidError(std::string(field) + " holds " + std::to_string(value) + ", needs at least " +
-                          std::to_string(lowest));
-  return Eigen::VectorXd(Eigen::Map<const Eigen::VectorXd>(values.data(), n));
-}
-
-Status ReadNumber(const json& object, const char* field, double lowest, double highest, double* value) {
-  if (!object.contains(field)) return Status::Ok();
-  *value = object.at(field).get<double>();
-  if (std::isfinite(*value) && *value >= lowest && *value <= highest) return Status::Ok();
-  return InvalidError(std::string(field) + " is " + std::to_string(*value) + ", needs " +
-                      std::to_string(lowest) + " to " + std::to_string(highest));
+// One number per joint; absent: what `values` has.
+void ReadJoints(JsonFields& fields, const char* field, int n, double least, Eigen::VectorXd* values) {
+  std::vector<double> read(values->data(), values->data() + values->size());
+  fields.Numbers(field, n, least, kAny, &read);
+  *values = Eigen::Map<const Eigen::VectorXd>(read.data(), static_cast<Eigen::Index>(read.size()));
 }
 
 Result<effects::EffectSpec> ReadEffect(const json& entry) {
-  RG_RETURN_IF_ERROR(CheckKeys(entry, {"effect", "joints", "parameters", "options"}, "effects: "));
+  JsonFields fields(entry, "effect joints parameters options", "effects: ");
   effects::EffectSpec spec;
-  entry.at("effect").get_to(spec.id);
-  spec.joints = entry.value("joints", std::vector<std::string>{});
-  spec.options = entry.value("options", std::map<std::string, std::string>{});
-  const json parameters = entry.value("parameters", json::object());
+  json parameters = json::object();
+  fields.Require("effect", &spec.id);
+  fields.Read("joints", &spec.joints);
+  fields.Read("options", &spec.options);
+  fields.Read("parameters", &parameters);
+  RG_RETURN_IF_ERROR(fields.status());
   for (const auto& [name, value] : parameters.items()) {
     if (spec.joints.empty() || !value.is_array()) {
       for (const auto& joint : spec.joints) spec.values[joint][name] = value.get<double>();
@@ -111,7 +96,7 @@ Status ReadParameters(const json& root, const std::string& list, const sim::Plan
                       Eigen::VectorXd* values) {
   const json departures = root.value(list, json::object());
   for (const auto& [name, departure] : departures.items()) {
-    RG_RETURN_IF_ERROR(CheckKeys(departure, {"scale", "add", "value"}, list + "." + name + ": "));
+    RG_RETURN_IF_ERROR(JsonFields(departure, "scale add value", list + "." + name + ": ").status());
     RG_ASSIGN_OR_RETURN(const int index, plant.parameters().IndexOf(name));
     if (departure.contains("value")) (*values)[index] = departure["value"].get<double>();
     (*values)[index] = (*values)[index] * departure.value("scale", 1.0) + departure.value("add", 0.0);
@@ -135,71 +120,50 @@ Status ReadBase(const json& root, RobotTruth* truth) {
                         "\", needs none, nominal, true or given");
   }
   if (!root.contains("silence")) return Status::Ok();
-  const json& silence = root.at("silence");
-  RG_RETURN_IF_ERROR(CheckKeys(silence, {"timeout_s", "action"}, "silence: "));
-  RG_RETURN_IF_ERROR(ReadNumber(silence, "timeout_s", 0.01, 60, &truth->silence_timeout_s));
-  const std::string action = silence.value("action", "position_mode");
+  JsonFields silence(root.at("silence"), "timeout_s action", "silence: ");
+  silence.Number("timeout_s", 0.01, 60, &truth->silence_timeout_s);
+  std::string action = "position_mode";
+  silence.Read("action", &action);
   if (action != "position_mode" && action != "zero_torque")
-    return InvalidError("silence: action is \"" + action + "\", needs position_mode or zero_torque");
+    silence.Fail("action is \"" + action + "\", needs position_mode or zero_torque");
   truth->silence_action = action == "zero_torque" ? SilenceAction::kZeroTorque : SilenceAction::kPositionMode;
-  return Status::Ok();
+  return silence.status();
 }
 
 Status ReadPositionController(const json& root, RobotTruth* truth) {
-  const json& control = root.at("position_controller");
-  RG_RETURN_IF_ERROR(CheckKeys(control, {"stiffness", "damping", "speed"}, "position_controller: "));
-  RG_ASSIGN_OR_RETURN(truth->stiffness, ReadVector(control, "stiffness", truth->n(), 0));
-  RG_ASSIGN_OR_RETURN(truth->damping, ReadVector(control, "damping", truth->n(), 0));
-  RG_ASSIGN_OR_RETURN(truth->speed, ReadVector(control, "speed", truth->n(), 1e-3));
-  return Status::Ok();
+  JsonFields control(root.at("position_controller"), "stiffness damping speed", "position_controller: ");
+  ReadJoints(control, "stiffness", truth->n(), 0, &truth->stiffness);
+  ReadJoints(control, "damping", truth->n(), 0, &truth->damping);
+  ReadJoints(control, "speed", truth->n(), 1e-3, &truth->speed);
+  return control.status();
 }
 
 Status ReadSensors(const json& root, RobotTruth* truth) {
   truth->velocity_gain = Eigen::VectorXd::Ones(truth->n());
   if (!root.contains("sensors")) return Status::Ok();
-  const json& sensors = root.at("sensors");
-  RG_RETURN_IF_ERROR(CheckKeys(sensors,
-                               {"rate_hz", "latency_s", "position_stddev", "position_resolution",
-                                "velocity_stddev", "velocity_gain", "effort_stddev", "effort_filter_s"},
-                               "sensors: "));
-  RG_RETURN_IF_ERROR(ReadNumber(sensors, "rate_hz", 1, 1000, &truth->rate_hz));
-  RG_RETURN_IF_ERROR(ReadNumber(sensors, "latency_s", 0, 1, &truth->latency_s));
-  RG_RETURN_IF_ERROR(ReadNumber(sensors, "position_stddev", 0, 1, &truth->position_stddev));
-  RG_RETURN_IF_ERROR(ReadNumber(sensors, "position_resolution", 0, 1, &truth->position_resolution));
-  RG_RETURN_IF_ERROR(ReadNumber(sensors, "velocity_stddev", 0, 10, &truth->velocity_stddev));
-  RG_RETURN_IF_ERROR(ReadNumber(sensors, "effort_stddev", 0, 100, &truth->effort_stddev));
-  RG_RETURN_IF_ERROR(ReadNumber(sensors, "effort_filter_s", 0, 10, &truth->effort_filter_s));
-  if (!sensors.contains("velocity_gain")) return Status::Ok();
-  RG_ASSIGN_OR_RETURN(truth->velocity_gain, ReadVector(sensors, "velocity_gain", truth->n(), 0));
-  return Status::Ok();
+  JsonFields sensors(root.at("sensors"),
+                     "rate_hz latency_s position_stddev position_resolution velocity_stddev velocity_gain "
+                     "effort_stddev effort_filter_s",
+                     "sensors: ");
+  sensors.Number("rate_hz", 1, 1000, &truth->rate_hz);
+  sensors.Number("latency_s", 0, 1, &truth->latency_s);
+  sensors.Number("position_stddev", 0, 1, &truth->position_stddev);
+  sensors.Number("position_resolution", 0, 1, &truth->position_resolution);
+  sensors.Number("velocity_stddev", 0, 10, &truth->velocity_stddev);
+  sensors.Number("effort_stddev", 0, 100, &truth->effort_stddev);
+  sensors.Number("effort_filter_s", 0, 10, &truth->effort_filter_s);
+  ReadJoints(sensors, "velocity_gain", truth->n(), 0, &truth->velocity_gain);
+  return sensors.status();
 }
 
 Result<RobotTruth> ReadTruth(const json& root, const std::string& path) {
-  RG_RETURN_IF_ERROR(CheckKeys(root,
-                               {"format",
-                                "robot",
-                                "based_on",
-                                "more_effects",
-                                "compensation_parameters",
-                                "model",
-                                "urdf",
-                                "joints",
-                                "locked",
-                                "gravity",
-                                "parameters",
-                                "effects",
-                                "torque_limit",
-                                "gravity_compensation",
-                                "silence",
-                                "position_controller",
-                                "initial_pose",
-                                "sensors",
-                                "command_latency_s",
-                                "step_s",
-                                "physics_step_s"},
-                               ""));
-  if (root.at("format") != "realitygrad.robot_truth/1")
-    return InvalidError("format is " + root.at("format").dump() + ", needs realitygrad.robot_truth/1");
+  JsonFields fields(
+      root,
+      "format robot based_on more_effects compensation_parameters model urdf joints locked gravity "
+      "parameters effects torque_limit gravity_compensation silence position_controller initial_pose "
+      "sensors command_latency_s step_s physics_step_s");
+  fields.Format("realitygrad.robot_truth/1");
+  RG_RETURN_IF_ERROR(fields.status());
   std::optional<sim::ModelFile> model;
   if (root.contains("model")) {
     RG_ASSIGN_OR_RETURN(model, ReadModel(root, path));
@@ -211,14 +175,15 @@ Result<RobotTruth> ReadTruth(const json& root, const std::string& path) {
   RobotTruth truth{
       .robot = root.at("robot").get<std::string>(), .plant = model->plant, .values = model->values};
   RG_RETURN_IF_ERROR(ReadParameters(root, "parameters", truth.plant, &truth.values));
-  RG_ASSIGN_OR_RETURN(truth.torque_limit, ReadVector(root, "torque_limit", truth.n(), 0));
-  RG_ASSIGN_OR_RETURN(truth.initial_pose, ReadVector(root, "initial_pose", truth.n(), -1e3));
+  ReadJoints(fields, "torque_limit", truth.n(), 0, &truth.torque_limit);
+  ReadJoints(fields, "initial_pose", truth.n(), -1e3, &truth.initial_pose);
+  fields.Number("command_latency_s", 0, 1, &truth.command_latency_s);
+  fields.Number("step_s", 1e-4, 0.01, &truth.step_s);
+  fields.Number("physics_step_s", 1e-5, 0.01, &truth.physics_step_s);
+  RG_RETURN_IF_ERROR(fields.status());
   RG_RETURN_IF_ERROR(ReadBase(root, &truth));
   RG_RETURN_IF_ERROR(ReadPositionController(root, &truth));
   RG_RETURN_IF_ERROR(ReadSensors(root, &truth));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "command_latency_s", 0, 1, &truth.command_latency_s));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "step_s", 1e-4, 0.01, &truth.step_s));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "physics_step_s", 1e-5, 0.01, &truth.physics_step_s));
   return truth;
 }
 

@@ -1,7 +1,8 @@
 #include "services/rollouts/rollout_end.h"
 
-#include <cstdio>
 #include <nlohmann/json.hpp>
+
+#include "common/base/printf.h"
 
 namespace rg::rollouts {
 namespace {
@@ -20,10 +21,8 @@ std::string After(const json& rollout) {
     return found != rollout.end() && found->is_number() ? found->get<double>() : -1.0;
   };
   const double ended = number("ended_after_s"), asked = number("duration_s");
-  char of[32] = "", text[64] = "";
-  if (asked >= 0) std::snprintf(of, sizeof of, " of %.3g", asked);
-  if (ended >= 0) std::snprintf(text, sizeof text, " after %.3g%s s", ended, of);
-  return text;
+  const std::string of = asked >= 0 ? Printf(" of %.3g", asked) : "";
+  return ended >= 0 ? Printf(" after %.3g%s s", ended, of.c_str()) : "";
 }
 
 }  // namespace

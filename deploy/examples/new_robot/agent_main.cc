@@ -1,9 +1,8 @@
 // realitygrad-agent with one driver more.
 #include "bench_arm_driver.h"
 #include "robot_agent/agent_program.h"
-#include "services/jobs/rollout_task_kind.h"
 
 int main(int argc, char** argv) {
   rg::robot_agent::RegisterDriver("bench_arm", bench_arm::MakeBenchArm);
-  return rg::robot_agent::AgentProgramMain(argc, argv, rg::jobs::RegisterAgentKinds);
+  return rg::robot_agent::AgentProgramMain(argc, argv);
 }

@@ -2,8 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <numbers>
+
+#include "common/base/printf.h"
 
 namespace rg::robot_agent::kinova {
 namespace {
@@ -20,8 +21,7 @@ Status CheckSize(const char* what, size_t have, size_t want) {
 
 Status CheckValue(const std::string& joint, const char* what, double value, double limit) {
   if (std::isfinite(value) && std::abs(value) <= limit) return Status::Ok();
-  char text[160];
-  std::snprintf(text, sizeof text, ": %s %.4g, an arm at work has at most %.4g", what, value, limit);
+  const std::string text = Printf(": %s %.4g, an arm at work has at most %.4g", what, value, limit);
   return InvalidError(joint + text);
 }
 

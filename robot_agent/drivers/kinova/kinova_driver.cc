@@ -4,7 +4,8 @@
 #include <cmath>
 
 #include "common/base/log.h"
-#include "robot_agent/drivers/kinova/driver_text.h"
+#include "common/base/printf.h"
+#include "robot_agent/drivers/kinova/units.h"
 
 namespace rg::robot_agent::kinova {
 namespace {
@@ -92,7 +93,7 @@ Status KinovaDriver::AwaitFirstState(double timeout_s) {
   if (!implausible_.empty())
     return FailedPreconditionError("states of the arm are not plausible: " + implausible_);
   return UnavailableError("no state on /" + options_.robot_name + "_driver/out/joint_state within " +
-                          Text("%.3g s: is kinova_robot.launch running as kinova_robotName:=", timeout_s) +
+                          Printf("%.3g s: is kinova_robot.launch running as kinova_robotName:=", timeout_s) +
                           options_.robot_name + ", and the arm on?");
 }
 
@@ -109,11 +110,11 @@ Status KinovaDriver::CheckRate(double timeout_s) {
     return UnavailableError("the arm's driver fell silent while its states were counted");
   const auto interval = link_->StatusInterval();
   return FailedPreconditionError(
-      Text("states arrive at %.1f Hz, torque control needs %.4g: start kinova_robot.launch with "
-           "feedback_publish_rate:=%.2f, an interval in seconds (%s)",
-           hz, options_.least_rate_hz, 1.0 / kWantedRateHz,
-           interval ? Text("its status_interval_seconds is %.3g", *interval).c_str()
-                    : "its status_interval_seconds is not set"));
+      Printf("states arrive at %.1f Hz, torque control needs %.4g: start kinova_robot.launch with "
+             "feedback_publish_rate:=%.2f, an interval in seconds (%s)",
+             hz, options_.least_rate_hz, 1.0 / kWantedRateHz,
+             interval ? Printf("its status_interval_seconds is %.3g", *interval).c_str()
+                      : "its status_interval_seconds is not set"));
 }
 
 // What is published before the arm's driver has subscribed is lost.
@@ -172,7 +173,7 @@ void KinovaDriver::TakeReport(const JointReport& report) {
 int64_t KinovaDriver::NowNanos() const { return time_->NowNanos(); }
 
 Status KinovaDriver::LostError() const {
-  return UnavailableError(Text("the arm's driver has sent no states for %.3g s", options_.outage_s));
+  return UnavailableError(Printf("the arm's driver has sent no states for %.3g s", options_.outage_s));
 }
 
 Status KinovaDriver::SleepUntil(int64_t deadline_ns) {
@@ -195,7 +196,7 @@ Status KinovaDriver::AwaitState(uint64_t sequence, double timeout_s, RobotState*
               [&] { return lost_ || state_.sequence > sequence; });
   if (lost_) return LostError();
   if (state_.sequence <= sequence)
-    return UnavailableError(Text("the arm sent no state for %.3g s", timeout_s));
+    return UnavailableError(Printf("the arm sent no state for %.3g s", timeout_s));
   *state = state_;
   return Status::Ok();
 }
@@ -213,7 +214,7 @@ Status KinovaDriver::AwaitStill(double speed, double for_s, double at_most_s) {
     const double elapsed = 1e-9 * static_cast<double>(now.stamp_ns - anchor.stamp_ns);
     if (furthest <= speed * for_s && elapsed >= for_s) return Status::Ok();
     if (NowNanos() > give_up)
-      return DeadlineExceededError(Text("the arm still moves: %.3g rad in %.3g s", furthest, elapsed));
+      return DeadlineExceededError(Printf("the arm still moves: %.3g rad in %.3g s", furthest, elapsed));
     if (furthest > speed * for_s) anchor = now;
   }
 }
@@ -359,7 +360,7 @@ Status KinovaDriver::GoTo(const double* q, double tolerance, double timeout_s) {
     if (moved.ok() && worst <= tolerance) return Status::Ok();
     if (NowNanos() < give_up && attempt < kPoseAttempts) continue;
     RG_RETURN_IF_ERROR(HoldNow());
-    return DeadlineExceededError(Text("the pose was not reached, still %.3g rad away", worst) +
+    return DeadlineExceededError(Printf("the pose was not reached, still %.3g rad away", worst) +
                                  (moved.ok() ? "" : ": " + moved.message()));
   }
 }

@@ -1,21 +1,14 @@
 #include "robot_agent/drivers/kinova/kinova_options.h"
 
 #include <nlohmann/json.hpp>
-#include <set>
 
-#include "robot_agent/drivers/json_fields.h"
+#include "common/base/json_fields.h"
 #include "robot_agent/drivers/kinova/joint_report.h"
 
 namespace rg::robot_agent::kinova {
 namespace {
 
 using nlohmann::json;
-
-const std::set<std::string> kFields = {"stop_topic",      "robot_type",      "robot_name",          "master",
-                                       "joints",          "zero_pose_deg",       "zero_limit_nm",
-                                       "test_torque_nm",  "least_rate_hz",       "outage_s",
-                                       "farewell_s",      "command_timeout_s",   "service_timeout_s",
-                                       "test_motion_rad", "torque_mode_attempts", "prepare_every_s"};
 
 // Joints 2 and 3 of an arm of six, 2, 4 and 6 of one of seven have stops.
 std::vector<bool> ContinuousJoints(int n) {
@@ -33,44 +26,41 @@ void TakeDefaults(KinovaOptions* options) {
 }
 
 Result<KinovaOptions> Read(const json& root, const std::string& robot) {
-  for (const auto& [key, value] : root.items())
-    if (!kFields.contains(key)) return InvalidError("unknown field \"" + key + "\"");
+  JsonFields fields(
+      root,
+      "stop_topic robot_type robot_name master joints zero_pose_deg zero_limit_nm test_torque_nm "
+      "least_rate_hz outage_s farewell_s command_timeout_s service_timeout_s test_motion_rad "
+      "torque_mode_attempts prepare_every_s");
   KinovaOptions options;
   options.robot = robot;
-  options.robot_type = root.value("robot_type", options.robot_type);
+  fields.Read("robot_type", &options.robot_type);
+  RG_RETURN_IF_ERROR(fields.status());
   RG_ASSIGN_OR_RETURN(const int n, JointsOfType(options.robot_type));
-  options.robot_name = root.value("robot_name", options.robot_type);
-  options.master_uri = root.value("master", "");
-  options.stop_topic = root.value("stop_topic", options.stop_topic);
+  options.robot_name = options.robot_type;
+  fields.Read("robot_name", &options.robot_name);
+  fields.Read("master", &options.master_uri);
+  fields.Read("stop_topic", &options.stop_topic);
   if (options.stop_topic.empty() || options.stop_topic[0] != '/')
-    return InvalidError("stop_topic is \"" + options.stop_topic + "\", needs a name that begins with /");
+    fields.Fail("stop_topic is \"" + options.stop_topic + "\", needs a name that begins with /");
   options.continuous = ContinuousJoints(n);
   for (int i = 1; i <= n; ++i) options.joints.push_back("joint_" + std::to_string(i));
-  options.joints = root.value("joints", options.joints);
+  fields.Read("joints", &options.joints);
   if (options.n() != n)
-    return InvalidError("joints has " + std::to_string(options.n()) + " names, a " + options.robot_type +
-                        " has " + std::to_string(n));
+    fields.Fail("joints has " + std::to_string(options.n()) + " names, a " + options.robot_type + " has " +
+                std::to_string(n));
   TakeDefaults(&options);
-  for (const char* field : {"zero_pose_deg", "test_torque_nm"}) {
-    auto& values = *field == 'z' ? options.zero_pose_deg : options.test_torque_nm;
-    values = root.value(field, values);
-    if (values.empty())
-      return InvalidError(std::string(field) + " is missing: it is known for the Mico² only, a " +
-                          options.robot_type + " needs it here");
-  }
-  RG_RETURN_IF_ERROR(CheckNumbers("zero_pose_deg", options.zero_pose_deg, n, -720, 720));
-  RG_RETURN_IF_ERROR(CheckNumbers("test_torque_nm", options.test_torque_nm, n, 0.05, 20));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "zero_limit_nm", 0.01, 20, &options.zero_limit_nm));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "test_motion_rad", 0.005, 0.1, &options.test_motion_rad));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "least_rate_hz", 5, 1000, &options.least_rate_hz));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "outage_s", 0.2, 10, &options.outage_s));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "command_timeout_s", 0.02, 0.25, &options.command_timeout_s));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "service_timeout_s", 0.1, 3, &options.service_timeout_s));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "farewell_s", 0, 600, &options.farewell_s));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "prepare_every_s", 0, 1e5, &options.prepare_every_s));
-  double attempts = options.torque_mode_attempts;
-  RG_RETURN_IF_ERROR(ReadNumber(root, "torque_mode_attempts", 1, 10, &attempts));
-  options.torque_mode_attempts = static_cast<int>(attempts);
+  fields.Numbers("zero_pose_deg", n, -720, 720, &options.zero_pose_deg);
+  fields.Numbers("test_torque_nm", n, 0.05, 20, &options.test_torque_nm);
+  fields.Number("zero_limit_nm", 0.01, 20, &options.zero_limit_nm);
+  fields.Number("test_motion_rad", 0.005, 0.1, &options.test_motion_rad);
+  fields.Number("least_rate_hz", 5, 1000, &options.least_rate_hz);
+  fields.Number("outage_s", 0.2, 10, &options.outage_s);
+  fields.Number("command_timeout_s", 0.02, 0.25, &options.command_timeout_s);
+  fields.Number("service_timeout_s", 0.1, 3, &options.service_timeout_s);
+  fields.Number("farewell_s", 0, 600, &options.farewell_s);
+  fields.Number("prepare_every_s", 0, 1e5, &options.prepare_every_s);
+  fields.Number("torque_mode_attempts", 1, 10, &options.torque_mode_attempts);
+  RG_RETURN_IF_ERROR(fields.status());
   return options;
 }
 

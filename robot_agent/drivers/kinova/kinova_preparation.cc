@@ -3,8 +3,9 @@
 #include <cmath>
 
 #include "common/base/log.h"
-#include "robot_agent/drivers/kinova/driver_text.h"
+#include "common/base/printf.h"
 #include "robot_agent/drivers/kinova/kinova_driver.h"
+#include "robot_agent/drivers/kinova/units.h"
 
 namespace rg::robot_agent::kinova {
 namespace {
@@ -98,8 +99,8 @@ Status KinovaDriver::CheckSensors() {
   double effort = 0.0;
   RG_RETURN_IF_ERROR(WorstEffort(&joint, &effort));
   if (std::abs(effort) <= options_.zero_limit_nm) return Status::Ok();
-  return FailedPreconditionError(Text("the torque sensor of %s reads %.3g N·m in the zero pose, limit %.3g",
-                                      info_.joints[joint].c_str(), effort, options_.zero_limit_nm));
+  return FailedPreconditionError(Printf("the torque sensor of %s reads %.3g N·m in the zero pose, limit %.3g",
+                                        info_.joints[joint].c_str(), effort, options_.zero_limit_nm));
 }
 
 Status KinovaDriver::TestJoint(int joint, const JointArray& base, ProbeEnd* end, double* reached,
@@ -125,8 +126,8 @@ Status KinovaDriver::TestJoint(int joint, const JointArray& base, ProbeEnd* end,
     for (int i = 0; i < options_.n() && status.ok(); ++i) {
       if (std::abs(state.q[i] - start[i]) <= kProbeBox) continue;
       status = FailedPreconditionError(
-          info_.joints[i] + Text(" moved by %.3g rad while torques were tested, at most %.3g may be",
-                                 state.q[i] - start[i], kProbeBox));
+          info_.joints[i] + Printf(" moved by %.3g rad while torques were tested, at most %.3g may be",
+                                   state.q[i] - start[i], kProbeBox));
     }
   } while (status.ok() && *end == ProbeEnd::kGoingOn);
   Stream(base, true);
@@ -143,15 +144,15 @@ Status KinovaDriver::JudgeTest(int joint, ProbeEnd end, double reached, double d
       return Status::Ok();
     case ProbeEnd::kWrongSign:
       return FailedPreconditionError(
-          Text("%s moved against its torque of %.2f N·m: the sign of its torques is wrong", name, reached));
+          Printf("%s moved against its torque of %.2f N·m: the sign of its torques is wrong", name, reached));
     case ProbeEnd::kSilent:
-      return FailedPreconditionError(Text(
+      return FailedPreconditionError(Printf(
           "%s did not move at %.2f N·m above gravity, the most of its test (test_torque_nm)", name, reached));
     case ProbeEnd::kDrifts:
-      return FailedPreconditionError(
-          Text("%s drifts at %.3g rad/s under the arm's own gravity compensation: zero its sensors, or give "
-               "the arm its payload and masses (COM parameters)",
-               name, drift));
+      return FailedPreconditionError(Printf(
+          "%s drifts at %.3g rad/s under the arm's own gravity compensation: zero its sensors, or give "
+          "the arm its payload and masses (COM parameters)",
+          name, drift));
   }
   return Status::Ok();
 }
@@ -181,7 +182,7 @@ Status KinovaDriver::TryTorqueMode(const JointArray& first, bool* silent, std::s
     double reached = 0.0, drift = 0.0;
     RG_RETURN_IF_ERROR(TestJoint(joint, first, &end, &reached, &drift));
     if (end != ProbeEnd::kSilent) return JudgeTest(joint, end, reached, drift);
-    *tested += (tested->empty() ? "" : ", ") + info_.joints[joint] + Text(" at %.2f N·m", reached);
+    *tested += (tested->empty() ? "" : ", ") + info_.joints[joint] + Printf(" at %.2f N·m", reached);
   }
   *silent = true;
   return FailedPreconditionError("refused");
@@ -204,7 +205,7 @@ Status KinovaDriver::EnterProved(const JointArray& first) {
                  options_.torque_mode_attempts);
   }
   return FailedPreconditionError(
-      Text(
+      Printf(
           "the arm refused torque mode in silence, %d times: its service succeeded, but these did not move: ",
           options_.torque_mode_attempts) +
       tested + " (zero its torque sensors; keep joints away from their limits)");

@@ -2,6 +2,9 @@
 // states in radians and takes poses in degrees.
 #pragma once
 
+#include <cmath>
+#include <cstdint>
+
 namespace rg::robot_agent::kinova {
 
 struct Radians {
@@ -12,6 +15,8 @@ struct Degrees {
 };
 
 inline constexpr double kPi = 3.14159265358979323846;
+
+inline int64_t Nanos(double seconds) { return std::llround(1e9 * seconds); }
 
 constexpr Degrees ToDegrees(Radians angle) { return {angle.value * 180.0 / kPi}; }
 constexpr Radians ToRadians(Degrees angle) { return {angle.value * kPi / 180.0}; }

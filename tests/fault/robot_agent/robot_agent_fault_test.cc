@@ -9,7 +9,7 @@
 
 #include "common/sim/model_file.h"
 #include "robot_agent/board.h"
-#include "robot_agent/rollout_task.h"
+#include "robot_agent/rollout/rollout_task.h"
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/spool_delivery.h"
 #include "services/rollouts/recording_bundle.h"

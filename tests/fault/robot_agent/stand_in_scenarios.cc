@@ -105,21 +105,11 @@ class Session {
       Disturb(t, id, tau, &stop);
       account_.Note((commands++ == 0 ? "begins " : "command ") + id);
     });
-    auto spool = Spool::Open(folder_ + "/spool").value();
-    SalvageRecordings(*spool);
+    rig_.spool = Spool::Open(folder_ + "/spool").value();
+    SalvageRecordings(*rig_.spool);
     kinova::KinovaDriver driver(options_, stand_in::LinkTo(arm_), time_);
-    const RolloutInput input{.plan = plan,
-                             .config = rig_.config,
-                             .plant = rig_.plant,
-                             .controller = controller,
-                             .observer = nullptr,
-                             .guard = nullptr,
-                             .controller_name = "spring",
-                             .policy_sha256 = "",
-                             .model_sha256 = "",
-                             .job_id = "",
-                             .task_id = ""};
-    const auto result = RunRollout(driver, input, *spool, {}, stop, RealClock());
+    const auto result = rig_.Run(driver, plan, controller, {}, &stop);
+    rig_.spool.reset();
     latched_ = Latch(folder_ + "/spool").Read().has_value();
     Tell(id, result);
   }

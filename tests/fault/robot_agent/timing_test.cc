@@ -91,16 +91,6 @@ class BusyCores {
   std::vector<pid_t> children_;
 };
 
-SafetyLimits WideLimits() {
-  SafetyLimits limits;
-  limits.lower = {-1, -1};
-  limits.upper = {1, 1};
-  limits.velocity = {2, 2};
-  limits.torque = {10, 10};
-  limits.torque_rate = {1000, 1000};
-  return limits;
-}
-
 std::string ScratchFolder() {
   const auto folder = std::filesystem::temp_directory_path() / ("rg-timing-" + RandomHex(6));
   std::filesystem::create_directories(folder);
@@ -111,7 +101,7 @@ TEST(Punctuality, TenThousandCyclesAt25HertzWithAllCoresBusy) {
   const BusyCores busy;
   RestingArm arm;
   FakeArm model;
-  SafetyLimits limits = WideLimits();
+  SafetyLimits limits = FakeLimits();
   limits.max_consecutive_missed = 1000;  // counted, not ended by
   limits.max_missed_share = 1.0;
   const std::string folder = ScratchFolder();
@@ -139,7 +129,7 @@ TEST(Punctuality, AHundredHangingControllersWithAllCoresBusy) {
   for (int k = 0; k < 100; ++k) {
     RestingArm arm;
     FakeArm model;
-    const SafetyLimits limits = WideLimits();
+    const SafetyLimits limits = FakeLimits();
     auto pair = PacketSocket::Pair().value();
     GuardOptions options;
     options.stop.at_rest_s = 0.05;

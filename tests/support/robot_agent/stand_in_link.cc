@@ -5,8 +5,7 @@
 #include <condition_variable>
 #include <mutex>
 #include <thread>
-
-#include "robot_agent/drivers/kinova/driver_text.h"
+#include "robot_agent/drivers/kinova/units.h"
 
 namespace rg::robot_agent::stand_in {
 namespace {

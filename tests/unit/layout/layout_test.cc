@@ -70,11 +70,11 @@ const std::map<std::string, std::set<std::string>>& Arrows() {
       {"services/proof", with(algorithms, {"services/report"})},
       {"services/proof/generator", {"common/base"}},  // the examiner's engine is independent
       {"services/jobs", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
-                             {"coordinator/client", "worker", "robot_agent"})},
+                             {"coordinator/client", "worker"})},
       {"services/cli", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
                             {"coordinator/client", "coordinator/store", "services/jobs", "services/bench", "services/importing"})},
       {"coordinator", wire},
-      {"worker", with(wire, {"coordinator/client", "services/jobs"})},
+      {"worker", with(wire, {"coordinator/client"})},
       {"robot_agent/drivers", dynamics},
       {"robot_agent/drivers/replay", with(dynamics, {"common/recordings", "robot_agent/drivers"})},
       {"robot_agent/safety", with(dynamics, {"robot_agent/drivers"})},  // no controller, policy or job

@@ -13,16 +13,6 @@
 namespace rg::robot_agent {
 namespace {
 
-SafetyLimits TwoJointLimits() {
-  SafetyLimits limits;
-  limits.lower = {-1, -1};
-  limits.upper = {1, 1};
-  limits.velocity = {2, 2};
-  limits.torque = {10, 10};
-  limits.torque_rate = {1000, 1000};
-  return limits;
-}
-
 struct Outcome {
   ControlLoopResult result;
   RawRecording recording;
@@ -53,7 +43,7 @@ class ControlLoop : public testing::Test {
 
   FakeDriver driver_;
   FakeArm arm_;
-  SafetyLimits limits_ = TwoJointLimits();
+  SafetyLimits limits_ = FakeLimits();
   ControlLoopOptions options_;
   CancelToken stop_;
 };

@@ -1,4 +1,4 @@
-#include "robot_agent/controllers.h"
+#include "robot_agent/rollout/controllers.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -7,7 +7,7 @@
 #include <limits>
 
 #include "common/sim/simulator.h"
-#include "robot_agent/limited_controller.h"
+#include "robot_agent/rollout/limited_controller.h"
 #include "tests/unit/robot_agent/allocation_counter.h"
 #include "tests/unit/trajectories/test_robots.h"
 

@@ -10,6 +10,7 @@
 #include "robot_agent/controller.h"
 #include "robot_agent/drivers/driver.h"
 #include "robot_agent/safety/arm.h"
+#include "robot_agent/safety/limits.h"
 
 namespace rg::robot_agent {
 
@@ -84,6 +85,16 @@ class FakeDriver final : public Driver {
   size_t sent_count = 0;
   std::function<void(FakeDriver&)> script;  // at the end of every SleepUntil
 };
+
+inline SafetyLimits FakeLimits() {
+  SafetyLimits limits;
+  limits.lower = {-1, -1};
+  limits.upper = {1, 1};
+  limits.velocity = {2, 2};
+  limits.torque = {10, 10};
+  limits.torque_rate = {1000, 1000};
+  return limits;
+}
 
 // Gravity (1, 2) N·m everywhere; the end effector is at (q0, q1, 0).
 class FakeArm final : public ArmModel {

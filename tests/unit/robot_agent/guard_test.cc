@@ -20,16 +20,6 @@ namespace {
 
 using testing::HasSubstr;
 
-SafetyLimits GuardLimits() {
-  SafetyLimits limits;
-  limits.lower = {-1, -1};
-  limits.upper = {1, 1};
-  limits.velocity = {2, 2};
-  limits.torque = {10, 10};
-  limits.torque_rate = {1000, 1000};
-  return limits;
-}
-
 // A guard in a thread, before a fake arm. End() closes the agent's side and waits for the guard.
 class GuardedArm : public testing::Test {
  protected:
@@ -68,7 +58,7 @@ class GuardedArm : public testing::Test {
   std::string folder_;
   FakeDriver arm_;
   FakeArm model_;
-  SafetyLimits limits_ = GuardLimits();
+  SafetyLimits limits_ = FakeLimits();
   GuardOptions options_;
   PacketSocket guards_end_;
   std::unique_ptr<GuardDriver> agent_;

@@ -12,7 +12,7 @@
 #include "common/model/urdf_loader.h"
 #include "common/sim/plant.h"
 #include "robot_agent/arm_model.h"
-#include "robot_agent/rollout_runner.h"
+#include "robot_agent/rollout/rollout_runner.h"
 #include "robot_agent/spool.h"
 
 namespace rg::robot_agent {
@@ -65,7 +65,8 @@ struct Rig {
     });
   }
 
-  Result<RolloutResult> Run(SimulatedDriver& driver, const RolloutPlan& plan, Controller& controller) {
+  Result<RolloutResult> Run(robot_agent::Driver& driver, const RolloutPlan& plan, Controller& controller,
+                            const ProgressFn& on_progress = {}, const CancelToken* own_stop = nullptr) {
     const RolloutInput input{.plan = plan,
                              .config = config,
                              .plant = plant,
@@ -77,7 +78,7 @@ struct Rig {
                              .model_sha256 = "",
                              .job_id = "",
                              .task_id = ""};
-    return RunRollout(driver, input, *spool, {}, stop, RealClock());
+    return RunRollout(driver, input, *spool, on_progress, own_stop ? *own_stop : stop, RealClock());
   }
 
   AgentConfig config;

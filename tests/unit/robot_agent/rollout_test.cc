@@ -13,7 +13,7 @@
 #include "common/recordings/csv.h"
 #include "common/sim/model_file.h"
 #include "robot_agent/board.h"
-#include "robot_agent/rollout_task.h"
+#include "robot_agent/rollout/rollout_task.h"
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/safety/own_arm.h"
 #include "robot_agent/safety/watched_move.h"

@@ -45,20 +45,9 @@ class AwayArm : public testing::Test {
       spring.Command(t, q, v, tau);
     });
     in_rollout_ = false;
-    const RolloutInput input{.plan = plan,
-                             .config = rig_.config,
-                             .plant = rig_.plant,
-                             .controller = controller,
-                             .observer = nullptr,
-                             .guard = nullptr,
-                             .controller_name = "spring",
-                             .policy_sha256 = "",
-                             .model_sha256 = "",
-                             .job_id = "",
-                             .task_id = ""};
     kinova::KinovaDriver driver(options_, stand_in::LinkTo(*arm_), time_);
     const auto progress = [&](const ProgressUpdate& update) { on_note(update.note); };
-    auto result = RunRollout(driver, input, *rig_.spool, progress, rig_.stop, RealClock());
+    auto result = rig_.Run(driver, plan, controller, progress);
     if (away_.joinable()) time_->Join(away_);
     return result;
   }

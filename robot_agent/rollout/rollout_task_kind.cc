@@ -1,16 +1,16 @@
-#include "services/jobs/rollout_task_kind.h"
+#include "robot_agent/rollout/rollout_task_kind.h"
 
 #include <algorithm>
-#include <cstdio>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "common/base/hash.h"
+#include "common/base/printf.h"
 #include "coordinator/client/client.h"
 #include "realitygrad/v1/artifact.pb.h"
 #include "realitygrad/v1/parameters.pb.h"
 #include "realitygrad/v1/payloads.pb.h"
-#include "robot_agent/rollout_task.h"
+#include "robot_agent/rollout/rollout_task.h"
 #include "services/jobs/job_graphs.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/task_support.h"
@@ -18,7 +18,7 @@
 #include "services/rollouts/trust.h"
 #include "worker/task_registry.h"
 
-namespace rg::jobs {
+namespace rg::robot_agent {
 namespace {
 
 namespace pb = ::realitygrad::v1;
@@ -36,8 +36,8 @@ std::string RequestHash(const worker::TaskInput& input) {
   return Sha256Hex(text);
 }
 
-// The same attempt at the same request of the same database has the same id, whatever else never: a repeat moves
-// nothing, and what is asked for anew is never answered with what was recorded before.
+// The same attempt at the same request of the same database has the same id, whatever else never: a repeat
+// moves nothing, and what is asked for anew is never answered with what was recorded before.
 std::string RolloutId(const worker::TaskInput& input) {
   constexpr size_t kName = 20, kDatabase = 8, kRequest = 12;  // at most 70 letters with the numbers
   return "job" + std::to_string(input.job) + "-" + input.task_name.substr(0, kName) + "-" +
@@ -60,8 +60,8 @@ rollouts::RolloutSpec SpecOf(const pb::RolloutPayload& payload, std::string id) 
   return spec;
 }
 
-// From the oldest version on, each recording once. What another kind of driver did (a simulated arm of the same name)
-// says nothing of this one.
+// From the oldest version on, each recording once. What another kind of driver did (a simulated arm of the
+// same name) says nothing of this one.
 double TrustIn(coordinator::Client& client, const std::string& robot, const std::string& driver) {
   constexpr uint32_t kVersions = 64;
   const auto history = client.ParameterHistory(robot, kVersions);
@@ -80,13 +80,12 @@ double TrustIn(coordinator::Client& client, const std::string& robot, const std:
 }
 
 // Without a coordinator to ask: none.
-double TrustOf(const robot_agent::AgentConfig& config, worker::TaskContext& context) {
+double TrustOf(const AgentConfig& config, worker::TaskContext& context) {
   if (!config.first_rollouts.on()) return 1.0;
   const auto client = context.Coordinator();
   const double trust = client.ok() ? TrustIn(**client, config.name, config.driver) : 0.0;
-  char text[120];
-  std::snprintf(text, sizeof text, "trust in %s is %.2f of 1: at most %.0f %% of its speed", config.name.c_str(),
-                trust, 100 * config.first_rollouts.SpeedOf(trust));
+  const std::string text = Printf("trust in %s is %.2f of 1: at most %.0f %% of its speed",
+                                  config.name.c_str(), trust, 100 * config.first_rollouts.SpeedOf(trust));
   context.Log(text);
   return trust;
 }
@@ -95,7 +94,7 @@ double TrustOf(const robot_agent::AgentConfig& config, worker::TaskContext& cont
 std::string ControllerOf(const pb::RolloutPayload& payload, const worker::TaskInput& input,
                          worker::TaskContext& context) {
   const std::string asked = payload.controller().empty() ? "policy" : payload.controller();
-  const worker::InputArtifact* artifact = input.Find(kInputExamination);
+  const worker::InputArtifact* artifact = input.Find(jobs::kInputExamination);
   if (asked != "policy" || artifact == nullptr) return asked;
   const auto said = nlohmann::json::parse(artifact->bytes, nullptr, false);
   const auto at = [&](const char* pointer) { return said.value(nlohmann::json::json_pointer(pointer), 0); };
@@ -105,12 +104,13 @@ std::string ControllerOf(const pb::RolloutPayload& payload, const worker::TaskIn
   return "mpc";
 }
 
-// A failed task has no outputs: its recording goes to the store by itself, at once, not when the spool is emptied.
-Status StoreRecording(const worker::TaskInput& input, const robot_agent::RolloutTaskOutput& done,
+// A failed task has no outputs: its recording goes to the store by itself, at once, not when the spool is
+// emptied.
+Status StoreRecording(const worker::TaskInput& input, const RolloutTaskOutput& done,
                       worker::TaskContext& context) {
   RG_ASSIGN_OR_RETURN(const auto client, context.Coordinator());
   pb::ArtifactInfo info;
-  info.set_kind(kArtifactRecording);
+  info.set_kind(jobs::kArtifactRecording);
   info.set_metadata_json(done.metadata_json);
   info.set_job_id(std::to_string(input.job));
   info.set_task_id(std::to_string(input.task));
@@ -118,53 +118,55 @@ Status StoreRecording(const worker::TaskInput& input, const robot_agent::Rollout
   return client->PutArtifact(done.bundle, info).status();
 }
 
-Status NotWhole(const worker::TaskInput& input, const robot_agent::RolloutTaskOutput& done,
-                worker::TaskContext& context) {
+Status NotWhole(const worker::TaskInput& input, const RolloutTaskOutput& done, worker::TaskContext& context) {
   const Status stored = StoreRecording(input, done, context);
   if (!stored.ok()) context.Log("the recording stays in the spool until it can be sent: " + stored.message());
-  return AbortedError(done.end.text + "; its recording is kept: artefact " + Sha256Hex(done.bundle).substr(0, 12));
+  return AbortedError(done.end.text + "; its recording is kept: artefact " +
+                      Sha256Hex(done.bundle).substr(0, 12));
 }
 
 }  // namespace
 
-void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::string& spool_folder,
-                        worker::TaskRegistry* registry) {
+void RegisterRolloutKind(const AgentConfig& config, const std::string& spool_folder,
+                         worker::TaskRegistry* registry) {
   registry->Register(
-      kKindRollout,
+      jobs::kKindRollout,
       [config, spool_folder](const worker::TaskInput& input,
                              worker::TaskContext& context) -> Result<worker::TaskOutputs> {
-        RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::RolloutPayload>(input));
+        RG_ASSIGN_OR_RETURN(const auto payload, jobs::ParsePayload<pb::RolloutPayload>(input));
         if (payload.robot() != config.name) {
           return FailedPreconditionError("this agent stands beside '" + config.name + "', not '" +
                                          payload.robot() + "'");
         }
-        RG_ASSIGN_OR_RETURN(const worker::InputArtifact* model, input.Require(kInputModel));
-        const worker::InputArtifact* policy = input.Find(kInputPolicy);
-        robot_agent::RolloutTaskInput task;
+        RG_ASSIGN_OR_RETURN(const worker::InputArtifact* model, input.Require(jobs::kInputModel));
+        const worker::InputArtifact* policy = input.Find(jobs::kInputPolicy);
+        RolloutTaskInput task;
         task.trust = TrustOf(config, context);
-        task.slower_attempts = static_cast<int>(std::min<uint32_t>(payload.slower_attempts(), kMostSlowerAttempts));
+        task.slower_attempts =
+            static_cast<int>(std::min<uint32_t>(payload.slower_attempts(), jobs::kMostSlowerAttempts));
         task.model_json = model->bytes;
         task.database = input.database;
         task.job_id = std::to_string(input.job);
         task.task_id = std::to_string(input.task);
         task.controller = ControllerOf(payload, input, context);
         if (policy != nullptr) task.policy_bytes = policy->bytes;
-        const worker::InputArtifact* motion = input.Find(kInputMotion);
+        const worker::InputArtifact* motion = input.Find(jobs::kInputMotion);
         if (motion != nullptr) task.motion_csv = motion->bytes;
         task.spec = SpecOf(payload, RolloutId(input));
-        RG_ASSIGN_OR_RETURN(const robot_agent::RolloutTaskOutput done,
-                            robot_agent::RunRolloutTask(config, spool_folder, task, context.progress_fn(),
-                                                        context.cancel_token()));
+        RG_ASSIGN_OR_RETURN(
+            const RolloutTaskOutput done,
+            RunRolloutTask(config, spool_folder, task, context.progress_fn(), context.cancel_token()));
         context.Log(done.summary_json);
         RG_RETURN_IF_ERROR(done.usable);  // its recording goes to the store from the spool
         if (payload.whole() && !done.end.as_asked) return NotWhole(input, done, context);
         worker::TaskOutputs outputs;
         if (!done.end.as_asked) outputs.remark = "rollout " + done.end.text;
-        outputs.artifacts.push_back({kOutputRecording, kArtifactRecording, done.bundle, done.metadata_json});
+        outputs.artifacts.push_back(
+            {jobs::kOutputRecording, jobs::kArtifactRecording, done.bundle, done.metadata_json});
         outputs.summary_json = done.summary_json;
         return outputs;
       },
-      robot_agent::LongestEnd(config.stop));
+      LongestEnd(config.stop));
 }
 
-}  // namespace rg::jobs
+}  // namespace rg::robot_agent

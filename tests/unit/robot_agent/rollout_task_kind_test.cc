@@ -1,5 +1,6 @@
-// The kind `rollout` as an agent runs it, with a simulated arm: which request is answered with which recording.
-#include "services/jobs/rollout_task_kind.h"
+// The kind `rollout` as an agent runs it, with a simulated arm: which request is answered with which
+// recording.
+#include "robot_agent/rollout/rollout_task_kind.h"
 
 #include <gtest/gtest.h>
 
@@ -15,7 +16,7 @@
 #include "tests/unit/robot_agent/rig.h"
 #include "worker/task_registry.h"
 
-namespace rg::jobs {
+namespace rg::robot_agent {
 namespace {
 
 class RolloutKind : public ::testing::Test {
@@ -23,12 +24,12 @@ class RolloutKind : public ::testing::Test {
   RolloutKind() {
     rig_.spool.reset();  // the task takes it
     rig_.config.first_rollouts = {};
-    RegisterAgentKinds(rig_.config, rig_.folder, &registry_);
+    RegisterRolloutKind(rig_.config, rig_.folder, &registry_);
     payload_.set_robot(rig_.config.name);
     payload_.set_controller("mpc");
     payload_.set_duration_s(0.2);
     payload_.set_seed(4);
-    input_.kind = kKindRollout;
+    input_.kind = jobs::kKindRollout;
     input_.task_name = "rollout";
     input_.job = 1;
     input_.task = 1 << 24;
@@ -37,7 +38,7 @@ class RolloutKind : public ::testing::Test {
   }
   void SetModel(const Eigen::VectorXd& values) {
     worker::InputArtifact model;
-    model.name = kInputModel;
+    model.name = jobs::kInputModel;
     model.bytes = sim::ModelToJson(rig_.plant, values);
     model.sha256 = Sha256Hex(model.bytes);
     input_.inputs = {model};
@@ -46,7 +47,7 @@ class RolloutKind : public ::testing::Test {
   nlohmann::json Run() {
     input_.payload = payload_.SerializeAsString();
     worker::RecordingTaskContext context(rig_.folder);
-    const auto outputs = (*registry_.Find(kKindRollout))(input_, context);
+    const auto outputs = (*registry_.Find(jobs::kKindRollout))(input_, context);
     EXPECT_TRUE(outputs.ok()) << outputs.status().ToString();
     return outputs.ok() ? nlohmann::json::parse(outputs->artifacts.at(0).metadata_json) : nlohmann::json();
   }
@@ -56,7 +57,7 @@ class RolloutKind : public ::testing::Test {
     return std::count(lines.begin(), lines.end(), '\n');
   }
 
-  robot_agent::Rig rig_{true};
+  Rig rig_{true};
   worker::TaskRegistry registry_;
   realitygrad::v1::RolloutPayload payload_;
   worker::TaskInput input_;
@@ -107,4 +108,4 @@ TEST_F(RolloutKind, ALongNameStillMakesAnIdWithRoomForSlowerAttempts) {
 }
 
 }  // namespace
-}  // namespace rg::jobs
+}  // namespace rg::robot_agent

@@ -1,4 +1,4 @@
-#include "robot_agent/controllers.h"
+#include "robot_agent/rollout/controllers.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,8 +1,7 @@
-#include "robot_agent/rollout_task.h"
+#include "robot_agent/rollout/rollout_task.h"
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -10,12 +9,13 @@
 
 #include "common/base/clock.h"
 #include "common/base/hash.h"
+#include "common/base/printf.h"
 #include "common/sim/model_file.h"
 #include "robot_agent/board.h"
-#include "robot_agent/controllers.h"
-#include "robot_agent/dry_run_driver.h"
 #include "robot_agent/guard/guard_driver.h"
-#include "robot_agent/rollout_runner.h"
+#include "robot_agent/rollout/controllers.h"
+#include "robot_agent/rollout/dry_run_driver.h"
+#include "robot_agent/rollout/rollout_runner.h"
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/spool_delivery.h"
 #include "services/rollouts/recording_bundle.h"
@@ -47,10 +47,9 @@ Status CheckTaskBox(const rollouts::ReferenceMotion& motion, const model::RobotM
   for (Eigen::Index k = 0; k < tip.cols(); ++k) {
     for (int axis = 0; axis < 3; ++axis) {
       if (tip(axis, k) >= box.lower[axis] && tip(axis, k) <= box.upper[axis]) continue;
-      char text[160];
-      std::snprintf(text, sizeof text,
-                    "motion: the end effector has %c = %.4g m at %.3g s, its box is %.4g to %.4g",
-                    "xyz"[axis], tip(axis, k), motion.t[k], box.lower[axis], box.upper[axis]);
+      const std::string text =
+          Printf("motion: the end effector has %c = %.4g m at %.3g s, its box is %.4g to %.4g", "xyz"[axis],
+                 tip(axis, k), motion.t[k], box.lower[axis], box.upper[axis]);
       return InvalidError(text);
     }
   }
@@ -189,7 +188,8 @@ struct Common {
   const std::optional<rollouts::ReferenceMotion>& motion;
 };
 
-// `plan` at a share of the speed: less excitation, tighter prediction, and a policy's goal that moves there first.
+// `plan` at a share of the speed: less excitation, tighter prediction, and a policy's goal that moves there
+// first.
 void SlowDown(double speed, RolloutPlan* plan) {
   plan->speed = speed;
   plan->spec.excitation *= speed;
@@ -205,18 +205,19 @@ Result<RolloutResult> RunOnce(const Common& all, const RolloutPlan& plan, std::v
   const GuardDriver* guard = nullptr;
   RG_ASSIGN_OR_RETURN(const auto driver,
                       DriverFor(all.config, plan.spec, all.spool_folder, board.ok(), &guard));
-  RolloutInput rollout{.plan = plan,
-                       .config = all.config,
-                       .plant = all.model.plant,
-                       .controller = *controller,
-                       .limit_speed = !all.motion,
-                       .made_again = std::move(made_again),
-                       .controller_name = all.input.controller,
-                       .policy_sha256 = all.input.policy_bytes.empty() ? "" : Sha256Hex(all.input.policy_bytes),
-                       .model_sha256 = Sha256Hex(all.input.model_json),
-                       .database = all.input.database,
-                       .job_id = all.input.job_id,
-                       .task_id = all.input.task_id};
+  RolloutInput rollout{
+      .plan = plan,
+      .config = all.config,
+      .plant = all.model.plant,
+      .controller = *controller,
+      .limit_speed = !all.motion,
+      .made_again = std::move(made_again),
+      .controller_name = all.input.controller,
+      .policy_sha256 = all.input.policy_bytes.empty() ? "" : Sha256Hex(all.input.policy_bytes),
+      .model_sha256 = Sha256Hex(all.input.model_json),
+      .database = all.input.database,
+      .job_id = all.input.job_id,
+      .task_id = all.input.task_id};
   rollout.guard = guard;
   if (!board.ok()) return RunRollout(*driver, rollout, all.spool, progress, stop, RealClock());
   const StopListener listener(**board, stop);
@@ -240,16 +241,18 @@ bool MayBeMadeAgain(const RolloutResult& result) {
          json::parse(result.rollout_json).value("held", false);
 }
 
-// Full speed first. Ids are a function of the attempt, so that a repeat of the task finds every attempt in the spool.
-Result<RolloutTaskOutput> RunUntilItEnds(const Common& all, const RolloutPlan& full, const ProgressFn& progress,
-                                         const CancelToken& stop) {
+// Full speed first. Ids are a function of the attempt, so that a repeat of the task finds every attempt in
+// the spool.
+Result<RolloutTaskOutput> RunUntilItEnds(const Common& all, const RolloutPlan& full,
+                                         const ProgressFn& progress, const CancelToken& stop) {
   RG_ASSIGN_OR_RETURN(RolloutResult best, RunOnce(all, full, {}, progress, stop));
   bool may_follow = MayBeMadeAgain(best);
   std::vector<std::string> ends = {rollouts::HowItEnded(best.rollout_json).text};
   size_t chosen = 0;
   const int most = all.motion ? 0 : all.input.slower_attempts;
   for (int again = 1; again <= most && may_follow && !stop.cancelled(); ++again) {
-    spdlog::warn("rollout {} was {}: made again at half the speed, {} of {}", full.spec.id, ends.back(), again, most);
+    spdlog::warn("rollout {} was {}: made again at half the speed, {} of {}", full.spec.id, ends.back(),
+                 again, most);
     RolloutPlan plan = full;
     SlowDown(std::pow(0.5, again), &plan);
     plan.spec.id = full.spec.id + "-slower" + std::to_string(again);
@@ -260,7 +263,8 @@ Result<RolloutTaskOutput> RunUntilItEnds(const Common& all, const RolloutPlan& f
     }
     may_follow = MayBeMadeAgain(*next);
     ends.push_back(rollouts::HowItEnded(next->rollout_json).text);
-    if (next->reason == EndReason::kCompleted || next->rows >= best.rows) best = std::move(*next), chosen = ends.size() - 1;
+    if (next->reason == EndReason::kCompleted || next->rows >= best.rows)
+      best = std::move(*next), chosen = ends.size() - 1;
   }
   ends.erase(ends.begin() + static_cast<std::ptrdiff_t>(chosen));
   return OutputOf(best, ends);

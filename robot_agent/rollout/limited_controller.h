@@ -1,13 +1,15 @@
 // Another controller's torques, made smaller where a joint would come too close to its velocity limit.
 //
-//   tau_i = g_i(q) + s_i (tau_inner,i − g_i(q)) ,  s_i = clip((b_i − |v_i|) / (a_i T), 0, 1) ,  b_i = share · v_max,i
+//   tau_i = g_i(q) + s_i (tau_inner,i − g_i(q)) ,  s_i = clip((b_i − |v_i|) / (a_i T), 0, 1) ,  b_i = share ·
+//   v_max,i
 //
 // where s_i grows by at most ¼ from one command to the next.
-// a_i is how fast |v_i| grew since the command before [rad/s²], T one control period and one command delay, g(q) the
-// agent's own gravity torque. Only torques that drive a joint on in its direction are made smaller (v_i (tau_i − g_i) > 0).
-// No model of the arm is believed: one that is wrong would hold back an arm that is slow, or let a fast one go. What it
-// does not see is the growth of one period and delay, so a light joint may still pass its limit.
-// What is not finite passes: the safety monitor stops the arm. Allocates nothing per command.
+// a_i is how fast |v_i| grew since the command before [rad/s²], T one control period and one command delay,
+// g(q) the agent's own gravity torque. Only torques that drive a joint on in its direction are made smaller
+// (v_i (tau_i − g_i) > 0). No model of the arm is believed: one that is wrong would hold back an arm that is
+// slow, or let a fast one go. What it does not see is the growth of one period and delay, so a light joint
+// may still pass its limit. What is not finite passes: the safety monitor stops the arm. Allocates nothing
+// per command.
 #pragma once
 
 #include <Eigen/Core>

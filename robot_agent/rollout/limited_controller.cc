@@ -1,4 +1,4 @@
-#include "robot_agent/limited_controller.h"
+#include "robot_agent/rollout/limited_controller.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,9 +1,9 @@
 // One rollout, from wherever the arm is to a recording in the spool.
 //
 //   connect -> start pose (position mode) -> settle -> torque mode -> control loop -> stop -> spool
-//   ^          ^ an arm that was away before the controller's first torque: stopped, and again from here when it
-//   |            is back, config.start_attempts times in all
-//   an arm, driver or master that is away meanwhile: the same, without a stop
+//   ^          ^ an arm that was away before the controller's first torque: stopped, and again from here when
+//   it |            is back, config.start_attempts times in all an arm, driver or master that is away
+//   meanwhile: the same, without a stop
 //
 // Everything from the first motion on is watched by the safety monitor, with the agent's own limits and
 // kinematics, and ends in StopArm; a stop that was not confirmed latches (safety/latch.h), and a latched arm
@@ -12,9 +12,9 @@
 // durable when it returns a result: the bundle, in the spool's ready folder under spec.id. A repeat with
 // the same id moves nothing: the bundle that is there is returned, or, where it is gone, kAlreadyExists. An
 // arm never begins a rollout twice, whatever was lost in between (Spool::MarkBegun). How a rollout ended that
-// began is a result with its reason; an error means that it did not begin (unreachable, wrong joints, start pose not
-// reached, torque mode refused) and may be asked for again, or that the recording could not be kept. What was recorded
-// of one that did not begin is kept beside it, with its reason (Spool::CommitNotBegun).
+// began is a result with its reason; an error means that it did not begin (unreachable, wrong joints, start
+// pose not reached, torque mode refused) and may be asked for again, or that the recording could not be kept.
+// What was recorded of one that did not begin is kept beside it, with its reason (Spool::CommitNotBegun).
 #pragma once
 
 #include <functional>
@@ -27,7 +27,7 @@
 #include "common/sim/plant.h"
 #include "robot_agent/agent_config.h"
 #include "robot_agent/control_loop.h"
-#include "robot_agent/rollout_bundle.h"
+#include "robot_agent/rollout/rollout_bundle.h"
 #include "robot_agent/spool.h"
 #include "services/rollouts/rollout_spec.h"
 #include "services/rollouts/scoring.h"
@@ -46,16 +46,17 @@ struct RolloutPlan {
   double speed = 1.0;  // share of the full speed; less where a rollout is made again
 };
 // Start (the agent's if the spec has none), limits, goal: given, by inverse kinematics, or sampled by
-// goal_seed. Depends on nothing but its arguments. The goal lies inside the position box. With less than full `trust`
-// (services/rollouts/trust.h) the rollout is shorter, its velocity limits and the reach of a drawn goal are smaller.
+// goal_seed. Depends on nothing but its arguments. The goal lies inside the position box. With less than full
+// `trust` (services/rollouts/trust.h) the rollout is shorter, its velocity limits and the reach of a drawn
+// goal are smaller.
 Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentConfig& config,
                                 const sim::Plant& plant, double trust = 1.0);
 
 struct RolloutInput {
   const RolloutPlan& plan;
   const AgentConfig& config;
-  const sim::Plant& plant;  // the believed model: joints, URDF and gravity for the recording
-  Controller& controller;   // for plan.spec.goal
+  const sim::Plant& plant;   // the believed model: joints, URDF and gravity for the recording
+  Controller& controller;    // for plan.spec.goal
   bool limit_speed = false;  // commands are kept from the velocity limits (limited_controller.h)
   std::vector<std::string> made_again = {};  // how the rollouts ended that this one is made again for
   LoopObserver* observer = nullptr;

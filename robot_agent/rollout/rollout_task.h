@@ -20,12 +20,12 @@ struct RolloutTaskInput {
   std::string policy_bytes;  // for controller "policy"
   rollouts::RolloutSpec spec;
   double trust = 1.0;  // services/rollouts/trust.h
-  // A rollout that the safety monitor ends is made again at half the speed at most this often, each with an id of its
-  // own; the output is of the first that came to its end, else of the longest. The others' recordings stay in the
-  // spool, to travel alone.
+  // A rollout that the safety monitor ends is made again at half the speed at most this often, each with an
+  // id of its own; the output is of the first that came to its end, else of the longest. The others'
+  // recordings stay in the spool, to travel alone.
   int slower_attempts = 0;
   std::string database, job_id, task_id;  // where the recording belongs, should it travel alone
-  std::string controller = "policy";  // "mpc", "trajectory"
+  std::string controller = "policy";      // "mpc", "trajectory"
   // For controller "trajectory": the motion (services/rollouts/reference_motion.h), which then says start,
   // goal and duration, whatever `spec` says of them. It is checked against the agent's boxes before anything
   // moves.
@@ -41,7 +41,8 @@ struct RolloutTaskOutput {
   // {"ended", "end_reason", "rows", "ended_after_s", "goal_joint_norm", "goal_tip_m", "missed_deadlines",
   // "cycle_p99_us", "lateness_p99_us"}: the task's summary.
   std::string summary_json;
-  // Not ok: it ended before there were two rows, and this tells why in one line. The recording counts all the same.
+  // Not ok: it ended before there were two rows, and this tells why in one line. The recording counts all the
+  // same.
   Status usable;
 };
 

@@ -1,4 +1,4 @@
-#include "robot_agent/rollout_bundle.h"
+#include "robot_agent/rollout/rollout_bundle.h"
 
 #include <cmath>
 #include <map>
@@ -126,7 +126,8 @@ Result<FinishedRollout> Finish(const RawRecording& raw) {
   } else {
     rollout["end_reason"] = EndReasonName(EndReason::kInterrupted);
     rollout["detail"] = "the process that recorded it ended before the rollout did";
-    rollout["ended_after_s"] = raw.samples.empty() ? 0.0 : 1e-9 * static_cast<double>(raw.samples.back().time_ns);
+    rollout["ended_after_s"] =
+        raw.samples.empty() ? 0.0 : 1e-9 * static_cast<double>(raw.samples.back().time_ns);
   }
   const EndReason reason = EndReasonFromName(rollout.value("end_reason", ""));
   const auto rows = ChooseRows(raw, static_cast<int>(joints.size()), reason);

@@ -9,10 +9,10 @@ namespace rg::worker {
 class TaskRegistry;
 }
 
-namespace rg::jobs {
+namespace rg::robot_agent {
 
 // Runs rollouts of `config.name` only; recordings wait in `spool_folder` until they are committed.
-void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::string& spool_folder,
-                        worker::TaskRegistry* registry);
+void RegisterRolloutKind(const AgentConfig& config, const std::string& spool_folder,
+                         worker::TaskRegistry* registry);
 
-}  // namespace rg::jobs
+}  // namespace rg::robot_agent

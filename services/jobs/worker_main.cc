@@ -1,6 +1,6 @@
 // realitygrad-worker: runs the task kinds of services/jobs.
-#include "services/jobs/task_kinds.h"
 #include "worker/worker_main.h"
+#include "services/jobs/task_kinds.h"
 
 int main(int argc, char** argv) {
   rg::worker::TaskRegistry registry;

@@ -1,9 +1,7 @@
-#include "robot_agent/rollout_runner.h"
+#include "robot_agent/rollout/rollout_runner.h"
 
 #include <unistd.h>
 
-#include <algorithm>
-#include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -11,9 +9,9 @@
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "common/model/robot_model.h"
-#include "robot_agent/controllers.h"
 #include "robot_agent/guard/guard_driver.h"
-#include "robot_agent/limited_controller.h"
+#include "robot_agent/rollout/controllers.h"
+#include "robot_agent/rollout/limited_controller.h"
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/safety/own_arm.h"
 #include "robot_agent/safety/watched_move.h"
@@ -256,7 +254,7 @@ Status DryRun(Driver& driver, ArmModel& arm, const RolloutInput& input, const Sp
 
 // One way to the start pose and through the control loop.
 struct Attempt {
-  Status failed;  // the rollout did not begin
+  Status failed;      // the rollout did not begin
   bool away = false;  // because the arm could not be reached for a while
   StopReport stop;
   ControlLoopResult loop;
@@ -347,7 +345,8 @@ Attempt TryRollout(Driver& driver, ArmModel& arm, const RolloutInput& input, Spo
     none.trip.reason = EndReason::kNotStarted;
     none.refusal = attempt.failed;
     none.stop = attempt.stop;
-    if (attempt.recorder != nullptr) TakeBackBeginning(spool, id, EndOf(none, driver.info().joints), &attempt);
+    if (attempt.recorder != nullptr)
+      TakeBackBeginning(spool, id, EndOf(none, driver.info().joints), &attempt);
     return attempt;
   }
   attempt.loop = RunLoop(driver, arm, input, *attempt.recorder, progress, stop, clock);
@@ -357,7 +356,8 @@ Attempt TryRollout(Driver& driver, ArmModel& arm, const RolloutInput& input, Spo
   const std::string detail = DetailOf(attempt.loop, driver.info().joints);
   const std::string words = "the rollout did not begin: " + std::string(EndReasonName(reason)) +
                             (detail.empty() ? "" : " (" + detail + ")");
-  attempt.away = WasAway(reason == EndReason::kNotStarted ? ReasonOf({}, input.guard) : reason, attempt.loop.refusal);
+  attempt.away =
+      WasAway(reason == EndReason::kNotStarted ? ReasonOf({}, input.guard) : reason, attempt.loop.refusal);
   attempt.failed = reason == EndReason::kOperatorStop ? CancelledError(words)
                    : attempt.away                     ? UnavailableError(words)
                                                       : FailedPreconditionError(words);
@@ -370,7 +370,8 @@ struct Setbacks {
   const int most;
   std::vector<std::string> lines = {};
 
-  // Ok: once more, with what is said to whoever listens; else what the attempt failed with, and which one it was.
+  // Ok: once more, with what is said to whoever listens; else what the attempt failed with, and which one it
+  // was.
   Status Next(const Status& failed, bool may_go_on, const char* note, const RolloutInput& input,
               const ProgressFn& progress) {
     lines.push_back(failed.message());
@@ -394,10 +395,11 @@ Status ConnectUntilThere(Driver& driver, const RolloutInput& input, Setbacks* se
   }
 }
 
-// An arm that was away before the rollout's first torque is stopped, and prepared again when it is back. A rollout that
-// began is not begun again.
-Attempt TryUntilItBegins(Driver& driver, ArmModel& arm, const RolloutInput& input, Spool& spool, Setbacks* setbacks,
-                         const ProgressFn& progress, const CancelToken& stop, const Clock& clock) {
+// An arm that was away before the rollout's first torque is stopped, and prepared again when it is back. A
+// rollout that began is not begun again.
+Attempt TryUntilItBegins(Driver& driver, ArmModel& arm, const RolloutInput& input, Spool& spool,
+                         Setbacks* setbacks, const ProgressFn& progress, const CancelToken& stop,
+                         const Clock& clock) {
   while (true) {
     Attempt attempt = TryRollout(driver, arm, input, spool, setbacks->lines, progress, stop, clock);
     if (attempt.failed.ok() || !attempt.away) return attempt;
@@ -473,7 +475,8 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
   RolloutResult result = ResultOf(finished, std::move(bundle), spool.ReadyPath(id), input);
   result.jitter = loop.jitter;
   if (progress)
-    progress({"rollout", loop.duration_s, input.plan.spec.duration_s, std::string(EndReasonName(result.reason))});
+    progress(
+        {"rollout", loop.duration_s, input.plan.spec.duration_s, std::string(EndReasonName(result.reason))});
   return result;
 }
 
