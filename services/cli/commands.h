@@ -37,12 +37,9 @@ void AddSubmitDiagnose(CLI::App& submit, Context& context);  // submit diagnose
 void AddModelCommands(CLI::App& app, Context& context);      // sysid, predict
 void AddCheckCommand(CLI::App& app, Context& context);       // check
 void AddDiagnoseCommand(CLI::App& app, Context& context);    // diagnose
-void AddProveCommand(CLI::App& app, Context& context);       // prove
 void AddImportCommands(CLI::App& app, Context& context);     // import, export
 void AddEffectsCommand(CLI::App& app, Context& context);     // effects
 void AddRunCommand(CLI::App& app, Context& context);         // run
-void AddExperimentCommand(CLI::App& app, Context& context);  // experiment …
-void AddBenchCommand(CLI::App& app, Context& context);       // bench
 void AddSystemCommands(CLI::App& app, Context& context);     // doctor, config, keys
 void AddCompletionCommand(CLI::App& app);                    // completion
 

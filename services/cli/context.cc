@@ -6,6 +6,7 @@
 
 #include <cerrno>
 #include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
@@ -192,6 +193,12 @@ std::string SiblingProgram(const std::string& name) {
   std::error_code error;
   const fs::path self = fs::read_symlink("/proc/self/exe", error);
   return (error ? fs::path(".") : self.parent_path()) / name;
+}
+
+Status BecomeProgram(const std::string& name, char** argv) {
+  const std::string program = SiblingProgram(name);
+  execv(program.c_str(), argv);
+  return NotFoundError(program + ": cannot start: " + std::strerror(errno));
 }
 
 Status CheckWritable(const std::string& folder) {

@@ -39,6 +39,7 @@ class Context {
   Settings flags;  // values given by flags, empty where none was
   int exit_code = kExitOk;
   Status error;  // the first that made a command fail
+  char** argv = nullptr;  // of this process
 
   // The project file is looked for in this folder and above it. Error: an unreadable file or an
   // unknown key in it.
@@ -66,6 +67,8 @@ std::string UserAtHost();
 std::string RobotsFolder(const Settings& settings);
 // A program of this build, beside the running one.
 std::string SiblingProgram(const std::string& name);
+// Such a program in place of this one. Returns only where it cannot be started.
+Status BecomeProgram(const std::string& name, char** argv);
 // Whether `folder` can be written, or made if it is not there; asked before long work. Leaves nothing.
 // An empty name: no folder is wanted.
 Status CheckWritable(const std::string& folder);

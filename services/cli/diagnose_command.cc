@@ -3,12 +3,12 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <atomic>
-#include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
 
 #include "common/base/clock.h"
 #include "common/base/file.h"
+#include "common/base/printf.h"
 #include "common/recordings/recording_set.h"
 #include "coordinator/client/client.h"
 #include "realitygrad/v1/artifact.pb.h"
@@ -71,25 +71,20 @@ std::string Told(const diagnosis::DiagnosisResult& r, const std::vector<std::str
   const std::string gap = diagnosis::GapInWords(r);
   std::string text = r.verdict + (gap.empty() ? "" : ": " + gap);
   for (const auto& f : r.findings) {
-    char confidence[32];
-    std::snprintf(confidence, sizeof confidence, " (%.2f)", f.confidence);
-    text += "\n  " + f.effect + confidence + ": " + f.statement;
+    text += "\n  " + f.effect + Printf(" (%.2f)", f.confidence) + ": " + f.statement;
     if (f.effect_class.size() > 1)
       text += "\n    cannot be told from " + ListOfNames({f.effect_class.begin() + 1, f.effect_class.end()}) +
               " in these recordings";
   }
   text += ValuesOfJoints(r);
-  char line[200], before[40];
-  std::snprintf(before, sizeof before, "%.4g as given", r.holdout.before_rms);
-  if (std::isnan(r.holdout.before_rms)) std::snprintf(before, sizeof before, "the model as given cannot run");
-  std::snprintf(line, sizeof line,
-                "\nheld-out RMS: %s, %.4g calibrated, %.4g with the findings, floor %.4g (%.1f s)", before,
-                r.holdout.calibrated_rms, r.holdout.after_rms, r.holdout.noise_floor_rms, r.elapsed_s);
-  text += line;
-  if (r.motion) {
-    std::snprintf(line, sizeof line, " (%.3g nats expected)", r.motion->expected_nats);
-    text += "\nrecord next: " + r.motion->description + line;
-  }
+  text += "\nheld-out RMS: " +
+          (std::isnan(r.holdout.before_rms) ? "the model as given cannot run"
+                                            : Printf("%.4g as given", r.holdout.before_rms)) +
+          Printf(", %.4g calibrated, %.4g with the findings, floor %.4g (%.1f s)", r.holdout.calibrated_rms,
+                 r.holdout.after_rms, r.holdout.noise_floor_rms, r.elapsed_s);
+  if (r.motion)
+    text +=
+        "\nrecord next: " + r.motion->description + Printf(" (%.3g nats expected)", r.motion->expected_nats);
   for (const std::string& note : r.notes) {
     if (std::find(said.begin(), said.end(), note) == said.end()) text += "\nnote: " + note;
   }
@@ -170,8 +165,7 @@ Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
     RG_ASSIGN_OR_RETURN(jobs::RemoteFits* const started, workers->Start(arguments));
     options.fits = started, fits = started;
   }
-  ProgressDisplay display(
-      {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
+  ProgressDisplay display(context.quiet());
   RG_ASSIGN_OR_RETURN(const diagnosis::DiagnosisResult result,
                       diagnosis::Diagnose(
                           set, options, RealClock(), [&](const ProgressUpdate& u) { display.Show(u); },

@@ -4,8 +4,8 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 
-#include "common/base/clock.h"
 #include "common/base/file.h"
+#include "common/base/printf.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/progress_display.h"
@@ -24,9 +24,7 @@ using nlohmann::json;
 
 class ImportProgress {
  public:
-  explicit ImportProgress(const Context& context)
-      : display_({.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()},
-                 RealClock()) {}
+  explicit ImportProgress(const Context& context) : display_(context.quiet()) {}
   ProgressFn Fn() {
     return [this](const ProgressUpdate& update) { display_.Show(update); };
   }
@@ -35,12 +33,6 @@ class ImportProgress {
  private:
   ProgressDisplay display_;
 };
-
-std::string AsText(const char* format, double value) {
-  char text[48];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
 
 // ---- import ----
 
@@ -82,7 +74,7 @@ void PrintTaken(const ImportReport& report) {
   TextTable table({"TOPIC", "FIELD", "COLUMN", "UNIT", "CLOCK", ">HZ", ">SAMPLES"});
   const auto dash = [](const std::string& text) { return text.empty() ? std::string("–") : text; };
   for (const TakenColumn& c : report.files.front().taken) {
-    table.AddRow({dash(c.topic), c.field, c.column, dash(c.unit), dash(c.clock), AsText("%.1f", c.rate_hz),
+    table.AddRow({dash(c.topic), c.field, c.column, dash(c.unit), dash(c.clock), Printf("%.1f", c.rate_hz),
                   std::to_string(c.samples)});
   }
   if (table.empty()) return;  // a bag that an export wrote: all of it
@@ -92,7 +84,7 @@ void PrintTaken(const ImportReport& report) {
 void PrintFiles(const ImportReport& report) {
   TextTable table({"FILE", "RECORDING", ">ROWS", ">SECONDS", "SPLIT", "TIME BASE"});
   for (const ImportedFile& file : report.files) {
-    table.AddRow({file.path, file.recording, std::to_string(file.rows), AsText("%.2f", file.duration_s),
+    table.AddRow({file.path, file.recording, std::to_string(file.rows), Printf("%.2f", file.duration_s),
                   file.holdout ? "holdout" : "fit", file.base.empty() ? "as exported" : file.base});
   }
   Print(table.ToString());
@@ -113,7 +105,8 @@ void PrintReport(const Context& context, const ImportReport& report) {
   PrintFiles(report);
   for (const std::string& reason : report.reasons) Print("guessed: " + reason);
   for (const std::string& note : report.notes) Print("note: " + note);
-  Print("next: realitygrad diagnose " + ShellWord(report.out) + " --out " + ShellWord(report.out + "_diagnosed"));
+  Print("next: realitygrad diagnose " + ShellWord(report.out) + " --out " +
+        ShellWord(report.out + "_diagnosed"));
 }
 
 Status PrintGuess(Context& context, const ImportArguments& arguments) {
@@ -141,7 +134,8 @@ Status PrintGuess(Context& context, const ImportArguments& arguments) {
   std::string files;
   for (const std::string& file : arguments.options.files) files += ShellWord(file) + " ";
   PrintNote("next: " + std::string(out.empty() ? "put this into MAP.json, look at it; " : "look at it; ") +
-            "realitygrad import " + files + "--urdf " + ShellWord(arguments.options.urdf) + " --map " + ShellWord(map) + " --out SET");
+            "realitygrad import " + files + "--urdf " + ShellWord(arguments.options.urdf) + " --map " +
+            ShellWord(map) + " --out SET");
   return Status::Ok();
 }
 
@@ -199,7 +193,8 @@ Status RunExport(Context& context, const SetExportArguments& arguments) {
   if (context.quiet()) return Status::Ok();
   for (const std::string& note : exact.notes) PrintNote("note: " + note);
   if (arguments.format == "bag")
-    PrintNote("next: realitygrad import " + ShellWord(out) + "/*.bag --out SET   (reads them back, value by value)");
+    PrintNote("next: realitygrad import " + ShellWord(out) +
+              "/*.bag --out SET   (reads them back, value by value)");
   return Status::Ok();
 }
 

@@ -1,7 +1,6 @@
 #include "services/cli/job_selector.h"
 
 #include <CLI/CLI.hpp>
-#include <cstdio>
 
 #include "coordinator/client/client.h"
 #include "services/cli/context.h"

@@ -141,8 +141,7 @@ std::string WorkersTable(const std::vector<pb::WorkerInfo>& workers) {
 Result<pb::GetJobReply> FollowJob(coordinator::Client& client, int64_t job, double timeout_s, bool quiet) {
   // One that is not there now is said to be so; one that goes away meanwhile is waited for.
   RG_RETURN_IF_ERROR(client.GetJob(job, false, false).status());
-  ProgressDisplay display({.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = quiet},
-                          RealClock());
+  ProgressDisplay display(quiet);
   std::string shown;
   auto end = client.WaitForJob(job, timeout_s, [&](const pb::GetJobReply& now) {
     // Stages that ended between two looks are shown too, so that none is missing from the log.

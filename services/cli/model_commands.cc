@@ -7,6 +7,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/file.h"
+#include "common/base/printf.h"
 #include "common/model/robot_model.h"
 #include "common/model/urdf_loader.h"
 #include "common/recordings/csv.h"
@@ -47,8 +48,7 @@ Status Sysid(Context& context, SysidArguments& arguments) {
   }
   RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
   RG_RETURN_IF_ERROR(SayWarnings(context, set, arguments.options.model, arguments.trust_effort).status());
-  ProgressDisplay display(
-      {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
+  ProgressDisplay display(context.quiet());
   RG_ASSIGN_OR_RETURN(const sysid::SysidReport report,
                       sysid::SysidOnSet(
                           set, arguments.options, RealClock(),
@@ -215,9 +215,8 @@ Status Predict(Context& context, const PredictArguments& arguments) {
                                            {"windows", error.windows.size()},
                                            {"failed_windows", prediction.failures.size()}});
   } else if (!context.quiet()) {
-    char text[160];
-    std::snprintf(text, sizeof text, "%zu windows of %.3g s: RMS %.4g, median window %.4g (rad or m)",
-                  error.windows.size(), arguments.window_s, error.rms, error.median_window);
+    const std::string text = Printf("%zu windows of %.3g s: RMS %.4g, median window %.4g (rad or m)",
+                                    error.windows.size(), arguments.window_s, error.rms, error.median_window);
     Print(text);
   }
   return Status::Ok();

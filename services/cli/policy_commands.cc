@@ -1,6 +1,5 @@
 // `policy show` and `policy export`: a trained policy for people and for other programs.
 #include <CLI/CLI.hpp>
-#include <cmath>
 #include <memory>
 #include <nlohmann/json.hpp>
 

@@ -7,16 +7,16 @@
 #include <cmath>
 #include <cstdio>
 
+#include "common/base/clock.h"
+#include "common/base/printf.h"
 #include "services/cli/output.h"
 
 namespace rg::cli {
 namespace {
 
-std::string Count(double x) {
-  char text[32];
-  std::snprintf(text, sizeof text, x == std::floor(x) ? "%.0f" : "%.1f", x);
-  return text;
-}
+constexpr double kLinePeriod_s = 5.0;  // without a terminal
+
+std::string Count(double x) { return Printf(x == std::floor(x) ? "%.0f" : "%.1f", x); }
 
 }  // namespace
 
@@ -55,8 +55,8 @@ std::string ProgressDisplay::Line(const ProgressUpdate& update, double elapsed_s
 }
 
 void ProgressDisplay::Show(const ProgressUpdate& update) {
-  if (options_.quiet) return;
-  const double now = clock_.SteadySeconds();
+  if (quiet_) return;
+  const double now = RealClock().SteadySeconds();
   if (!open_ || update.stage != last_.stage) {
     Finish();
     open_ = true;
@@ -64,11 +64,11 @@ void ProgressDisplay::Show(const ProgressUpdate& update) {
     last_line_s_ = -1e9;
   }
   last_ = update;
-  const std::string line = Line(update, now - stage_start_s_, options_.width);
-  if (options_.terminal) {
+  const std::string line = Line(update, now - stage_start_s_, width_);
+  if (terminal_) {
     std::fprintf(stderr, "\r\033[K%s", line.c_str());
     std::fflush(stderr);
-  } else if (now - last_line_s_ >= options_.line_period_s) {
+  } else if (now - last_line_s_ >= kLinePeriod_s) {
     std::fprintf(stderr, "%s\n", line.c_str());
     last_line_s_ = now;
   }
@@ -78,8 +78,8 @@ void ProgressDisplay::Finish(const std::string& summary) {
   if (!open_) return;
   open_ = false;
   const std::string line =
-      !summary.empty() ? summary : Line(last_, clock_.SteadySeconds() - stage_start_s_, options_.width);
-  std::fprintf(stderr, options_.terminal ? "\r\033[K%s\n" : "%s\n", line.c_str());
+      !summary.empty() ? summary : Line(last_, RealClock().SteadySeconds() - stage_start_s_, width_);
+  std::fprintf(stderr, terminal_ ? "\r\033[K%s\n" : "%s\n", line.c_str());
   std::fflush(stderr);
 }
 

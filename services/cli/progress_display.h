@@ -4,20 +4,16 @@
 
 #include <string>
 
-#include "common/base/clock.h"
 #include "common/base/progress.h"
 
 namespace rg::cli {
 
+bool StderrIsTerminal();
+int TerminalWidth();
+
 class ProgressDisplay {
  public:
-  struct Options {
-    bool terminal = false;  // stderr is one; see StderrIsTerminal
-    int width = 100;
-    double line_period_s = 5.0;  // without a terminal
-    bool quiet = false;
-  };
-  ProgressDisplay(Options options, const Clock& clock) : options_(options), clock_(clock) {}
+  explicit ProgressDisplay(bool quiet) : quiet_(quiet) {}
   ~ProgressDisplay() { Finish(); }
 
   void Show(const ProgressUpdate& update);
@@ -28,15 +24,12 @@ class ProgressDisplay {
   static std::string Line(const ProgressUpdate& update, double elapsed_s, int width);
 
  private:
-  Options options_;
-  const Clock& clock_;
+  const bool quiet_, terminal_ = StderrIsTerminal();
+  const int width_ = TerminalWidth();
   ProgressUpdate last_;
   double stage_start_s_ = 0.0;
   double last_line_s_ = -1e9;
   bool open_ = false;
 };
-
-bool StderrIsTerminal();
-int TerminalWidth();
 
 }  // namespace rg::cli

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "common/base/printf.h"
 #include "services/cli/output.h"
 #include "services/cli/search_plot.h"
 #include "services/report/page.h"
@@ -107,8 +108,7 @@ std::vector<std::string> Names(const json& diagnosis) {
     std::string joints;
     for (const json& joint : f.at("joints"))
       joints += (joints.empty() ? "" : ", ") + joint.get<std::string>();
-    char confidence[16];
-    std::snprintf(confidence, sizeof confidence, " (%.2f)", f.at("confidence").get<double>());
+    const std::string confidence = Printf(" (%.2f)", f.at("confidence").get<double>());
     lines.push_back(f.at("effect").get<std::string>() + (joints.empty() ? "" : " of " + joints) + confidence +
                     ": " + f.at("statement").get<std::string>());
   }

@@ -1,10 +1,10 @@
 #include "services/cli/run_state.h"
 
 #include <algorithm>
-#include <cstdio>
 #include <filesystem>
 
 #include "common/base/file.h"
+#include "common/base/printf.h"
 #include "services/jobs/options_json.h"
 
 namespace rg::cli {
@@ -32,8 +32,7 @@ Result<std::string> NewRunFolder(const std::string& parent) {
   int number = 1;
   for (const std::string& folder : RunFolders(parent))
     number = std::max(number, std::stoi(fs::path(folder).filename()) + 1);
-  char name[16];
-  std::snprintf(name, sizeof name, "%03d", number);
+  const std::string name = Printf("%03d", number);
   const std::string folder = parent + "/" + name;
   std::error_code error;
   fs::create_directories(folder + "/logs", error);

@@ -4,6 +4,7 @@
 #include <thread>
 
 #include "common/base/file.h"
+#include "common/base/printf.h"
 #include "common/transport/keys.h"
 #include "coordinator/client/client.h"
 #include "realitygrad/v1/control.pb.h"
@@ -97,8 +98,7 @@ Finding CheckScratch() {
   const fs::space_info space = fs::space(fs::temp_directory_path(error), error);
   if (error) return {"temporary folder", error.message(), false, true};
   const double gib = static_cast<double>(space.available) / (1 << 30);
-  char text[96];
-  std::snprintf(text, sizeof text, "%.1f GiB free in %s", gib, fs::temp_directory_path(error).c_str());
+  const std::string text = Printf("%.1f GiB free in %s", gib, fs::temp_directory_path(error).c_str());
   return {"temporary folder", text, gib > 0.5, true};
 }
 
@@ -131,6 +131,7 @@ void Doctor(Context& context) {
                                          CheckProgram("realitygrad-agent"),
                                          CheckProgram("realitygrad-guard"),
                                          CheckProgram("realitygrad-simulated-robot"),
+                                         CheckProgram("realitygrad-lab"),
                                          CheckProofGenerator(),
                                          CheckKinovaDriver(),
                                          CheckRobots(*settings),

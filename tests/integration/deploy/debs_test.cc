@@ -55,8 +55,8 @@ TEST_F(Debs, AreBuiltInstalledAndUsed) {
       << Said();
   const std::string root = folder_ + "/installed";
   for (const char* file :
-       {"/usr/bin/realitygrad", "/usr/bin/realitygrad-coordinator", "/usr/bin/realitygrad-worker",
-        "/usr/bin/realitygrad-agent", "/usr/bin/realitygrad-guard",
+       {"/usr/bin/realitygrad", "/usr/bin/realitygrad-lab", "/usr/bin/realitygrad-coordinator",
+        "/usr/bin/realitygrad-worker", "/usr/bin/realitygrad-agent", "/usr/bin/realitygrad-guard",
         "/lib/systemd/system/realitygrad-coordinator.service",
         "/lib/systemd/system/realitygrad-worker.service", "/lib/systemd/system/realitygrad-agent.service",
         "/usr/share/bash-completion/completions/realitygrad", "/usr/share/realitygrad/robots/mico2.urdf",

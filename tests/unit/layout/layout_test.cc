@@ -65,14 +65,16 @@ const std::map<std::string, std::set<std::string>>& Arrows() {
       {"services/diagnosis/design", diagnosis({"api", "data", "likelihood", "hypotheses"})},
       {"services/diagnosis/reporting", diagnosis({"api", "data", "likelihood", "hypotheses"})},
       {"services/report", algorithms},
-      {"services/bench", algorithms},
       {"services/importing", with(model, {"common/recordings"})},
       {"services/proof", with(algorithms, {"services/report"})},
       {"services/proof/generator", {"common/base"}},  // the examiner's engine is independent
       {"services/jobs", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
                              {"coordinator/client", "worker"})},
-      {"services/cli", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
-                            {"coordinator/client", "coordinator/store", "services/jobs", "services/bench", "services/importing"})},
+      {"services/cli",
+       with(with(with(algorithms, wire), {"services/report"}),
+            {"coordinator/client", "coordinator/store", "services/jobs", "services/importing"})},
+      {"services/lab", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
+                            {"coordinator/client", "services/jobs", "services/cli"})},
       {"coordinator", wire},
       {"worker", with(wire, {"coordinator/client"})},
       {"robot_agent/drivers", dynamics},
@@ -176,9 +178,11 @@ int EffectLiterals(const std::string& text) {
 // (generator) is independent and has names of its own; benches and examples choose effects by name as a user
 // does.
 const std::map<std::string, int>& MostLiterals() {
-  static const std::map<std::string, int> most = {
-      {"common/sim", 38},           {"services/bench", 4},  {"services/cli", 1},
-      {"services/proof", 33}, {"services/proof/generator", 244}, {"services/trajectories", 12}};
+  static const std::map<std::string, int> most = {{"common/sim", 38},
+                                                  {"services/lab", 5},
+                                                  {"services/proof", 33},
+                                                  {"services/proof/generator", 244},
+                                                  {"services/trajectories", 12}};
   return most;
 }
 
