@@ -2,6 +2,7 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
+#include "common/base/clock.h"
 #include "coordinator/client/client.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
