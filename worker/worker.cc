@@ -231,6 +231,8 @@ void Worker::SendHello() {
   hello->set_pid(getpid());
   hello->set_version(options_.version);
   hello->set_draining(draining_);
+  LookAtNode();
+  hello->set_unable(WhyUnable());
   Send(message);
 }
 

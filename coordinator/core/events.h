@@ -61,6 +61,7 @@ struct WorkerJoined {
   int64_t pid = 0;
   std::string version;
   std::string key;
+  std::string unable = {};  // as WorkerBeat's
 };
 struct WorkerBeat {
   std::string instance;

@@ -127,7 +127,7 @@ void Turn::Handle(const WorkerJoined& event) {
   worker.kinds = {event.kinds.begin(), event.kinds.end()};
   worker.draining = event.draining || was_draining;
   if (!was_draining) worker.drain_reason.clear();
-  worker.unable.clear();
+  worker.unable = event.unable;
   if (is_new) worker.failing.clear(), worker.suspect.clear(), worker.suspicions = 0;
   worker.connected = true;
   worker.last_seen_ns = now_.steady_ns;

@@ -30,6 +30,7 @@ WorkerJoined FromHello(const pb::WorkerHello& hello, const std::string& instance
   event.host = hello.host();
   event.pid = hello.pid();
   event.version = hello.version();
+  event.unable = VisibleText(Shortened(hello.unable()));
   return event;
 }
 

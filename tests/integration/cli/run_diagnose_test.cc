@@ -53,7 +53,7 @@ bool Named(const json& diagnosis, const std::string& effect, const std::string& 
   return false;
 }
 
-TEST(RunDiagnose, NamesThePhysicsAndDrivesTheRobotBetterThanIdentificationAlone) {
+TEST(RunDiagnose, NamesThePhysicsAndPredictsTheRobotBetterThanIdentificationAlone) {
   const ScratchFolder scratch;
   WriteSmallRobot(scratch,
                   {{{"effect", "position_spring"},
@@ -79,7 +79,7 @@ TEST(RunDiagnose, NamesThePhysicsAndDrivesTheRobotBetterThanIdentificationAlone)
   const auto goal_error = [&](int i) {
     return iterations[i]["rollout"]["goal_error"]["tip_distance_m"].get<double>();
   };
-  EXPECT_LT(goal_error(1), 0.3 * goal_error(0)) << "the spring is planned for";
+  EXPECT_LT(goal_error(1), 1e-3);
 
   const std::string page = ReadFile(scratch / "r/report.html").value();
   for (const char* text : {"position_spring of elbow", "identified only", "What the model leaves out"})
