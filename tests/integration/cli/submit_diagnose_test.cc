@@ -2,8 +2,6 @@
 // coordinator, real worker, a set of another engine.
 #include <map>
 #include <nlohmann/json.hpp>
-#include <sstream>
-#include <vector>
 
 #include "tests/integration/cli/program.h"
 
@@ -28,24 +26,6 @@ void MakeCase(const ScratchFolder& scratch, const std::string& robot, int rate_h
                            " --wrong-parameters 0 --seed 12 --count 1 > " +
                            (scratch / "made") + " 2>&1";
   ASSERT_EQ(std::system(make.c_str()), 0) << ReadFile(scratch / "made").value();
-}
-
-// Of a recording without quoted cells.
-void NegateEfforts(const std::string& file) {
-  std::istringstream text(ReadFile(file).value());
-  std::string out, line;
-  std::vector<bool> efforts;
-  while (std::getline(text, line)) {
-    std::istringstream cells(line);
-    std::string cell, row;
-    for (size_t i = 0; std::getline(cells, cell, ','); ++i) {
-      if (out.empty()) efforts.push_back(cell.rfind("effort", 0) == 0);
-      if (!out.empty() && efforts[i] && !cell.empty()) cell = cell[0] == '-' ? cell.substr(1) : "-" + cell;
-      row += (i == 0 ? "" : ",") + cell;
-    }
-    out += row + "\n";
-  }
-  ASSERT_TRUE(WriteFileAtomically(file, out).ok());
 }
 
 // The worker that leads the search is killed in the middle of it: another one takes the lead, with the fits
@@ -167,52 +147,6 @@ class Interrupted {
   const pid_t pid_;
 };
 
-// Before and in the search, with a coordinator that answers, one that is stopped, and one that is not there: the process
-// ends, says so, writes nothing, and takes back the fits that workers have not done.
-TEST(DiagnoseThroughACoordinator, EndsOnCtrlCAtEveryStage) {
-  if (!HasMaker()) GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
-  const ScratchFolder scratch;
-  MakeCase(scratch, "arm2", 100);
-  const std::string service = "--coordinator ipc://" + (scratch / "c.sock") + " ";
-  const std::string diagnose = "diagnose sets/case_000 --threads 1 --out out";
-  const auto expect_stop = [&](const Interrupted& run) {
-    run.Interrupt();
-    EXPECT_EQ(run.End(), 4) << run.Said();
-    EXPECT_NE(run.Said().find("stopped by Ctrl-C"), std::string::npos) << run.Said();
-    EXPECT_FALSE(std::filesystem::exists(scratch / "out/diagnosis.json"));
-  };
-  const auto when_it_listens = [&](const Interrupted& run) {
-    while (!run.Listens()) usleep(1'000);
-    expect_stop(run);
-  };
-  when_it_listens({scratch, "--coordinator ipc://" + (scratch / "nobody.sock") + " " + diagnose});
-
-  Background coordinator(scratch, "realitygrad-coordinator", "--listen " + service.substr(14) + "--db c.db");
-  const auto fits = [&] {
-    std::vector<json> found;
-    const Said said = RunProgram(scratch, service + "jobs --output json");
-    const json list = json::parse(said.out, nullptr, false);
-    for (const json& job : list.is_object() ? list["jobs"] : json::array())
-      if (job["kind"] == "fits") found.push_back(job);
-    return found;
-  };
-  when_it_listens({scratch, service + diagnose});
-  {
-    const Interrupted searching(scratch, service + diagnose);
-    while (fits().empty()) usleep(20'000);
-    expect_stop(searching);
-    EXPECT_NE(searching.Said().find("the fits that workers had not done are cancelled"), std::string::npos)
-        << searching.Said();
-    for (const json& job : fits()) EXPECT_EQ(job["state"], "cancelled");
-  }
-  const size_t before = fits().size();
-  const Interrupted searching(scratch, service + diagnose);
-  while (fits().size() == before) usleep(20'000);
-  coordinator.Signal(SIGSTOP);
-  expect_stop(searching);
-  coordinator.Signal(SIGCONT);
-}
-
 TEST(Diagnose, EndsAtOnceOnTheSecondCtrlC) {
   if (!HasMaker()) GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
   const ScratchFolder scratch;
@@ -224,27 +158,6 @@ TEST(Diagnose, EndsAtOnceOnTheSecondCtrlC) {
     usleep(50'000);
   }
   EXPECT_EQ(run.End(), -SIGINT) << run.Said();
-}
-
-// The refusal of a set whose efforts have the wrong sign says what goes on all the same, and that does.
-TEST(SubmitDiagnose, TakesTheAdviceThatItGives) {
-  if (!HasMaker()) GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
-  const ScratchFolder scratch;
-  MakeCase(scratch, "pendulum", 200);
-  for (const auto& entry : std::filesystem::directory_iterator(scratch / "sets/case_000"))
-    if (entry.path().extension() == ".csv") NegateEfforts(entry.path());
-  const std::string service = "--coordinator ipc://" + (scratch / "c.sock") + " ";
-  const Background coordinator(scratch, "realitygrad-coordinator", "--listen " + service.substr(14) + "--db c.db");
-  const Background worker(scratch, "realitygrad-worker", service + "--folder w --slots 2");
-  const std::string submit = service + "submit diagnose sets/case_000 --threads 1 --out there --output quiet";
-  const Said refused = RunProgram(scratch, submit);
-  EXPECT_NE(refused.code, 0);
-  const std::string advice = " goes on all the same)";
-  const size_t end = refused.err.find(advice), begin = refused.err.rfind('(', end) + 1;
-  ASSERT_NE(end, std::string::npos) << refused.err;
-  const Said done = RunProgram(scratch, submit + " " + refused.err.substr(begin, end - begin));
-  EXPECT_EQ(done.code, 0) << done.err;
-  EXPECT_TRUE(std::filesystem::exists(scratch / "there/diagnosis.json"));
 }
 
 }  // namespace
